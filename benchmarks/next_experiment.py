@@ -19,9 +19,9 @@ from vpptwin.diagnosis.search.separation import separate
 from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Flight
-from vpptwin.robots.planar_drone.experiment import Candidate, fly_library, observe_candidates
+from vpptwin.robots.planar_drone.experiment import FlownManoeuvre, fly_library, observe_candidates
 from vpptwin.robots.planar_drone.pilot.flight import SETTLING, fly
-from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, Gusts
+from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, GustProcess
 from vpptwin.robots.planar_drone.pilot.manoeuvre import Manoeuvre
 from vpptwin.robots.planar_drone.pilot.recording import record_streams
 from vpptwin.robots.planar_drone.pilot.scripted import ScriptedPilot
@@ -58,7 +58,7 @@ def fly_and_fit(spec: TwinSpec, manoeuvre: Manoeuvre, case: tuple[Explanation, .
     for (effect, name), value in case[0].values.items():
         effects.setdefault(effect, {})[name] = value
     pilot = ScriptedPilot(spec.vehicle, [manoeuvre.plan(spec.vehicle, {})])
-    gusts = Gusts(spec, 1, pilot.ticks + round(SETTLING * spec.vehicle.control.policy_rate), 7)
+    gusts = GustProcess(spec, 1, pilot.ticks + round(SETTLING * spec.vehicle.control.policy_rate), 7)
     tracks = fly(Twin(spec.with_effects(effects), 1, CARRIERS, num_threads=1), pilot, 7, gusts)
     flight = read_measurements(spec, Flight(Path(manoeuvre.name), 0, record_streams(tracks), {}))
     length = spec.robot.window
@@ -70,7 +70,7 @@ def fly_and_fit(spec: TwinSpec, manoeuvre: Manoeuvre, case: tuple[Explanation, .
 
 def print_case(spec: TwinSpec, case: tuple[Explanation, ...], flown: bool) -> None:
     """One line of the table for every rival."""
-    candidates: list[Candidate] = fly_library(spec, case)
+    candidates: list[FlownManoeuvre] = fly_library(spec, case)
     bench = observe_candidates(spec, candidates)
     windows = np.array([c.manoeuvre.duration / spec.robot.window for c in candidates])
     sigma = separate(bench, case, list_unknowns(spec), windows)

@@ -23,7 +23,7 @@ from proving.policy_flights import (
 )
 from vpptwin.deploy.load import CompiledController
 from vpptwin.robots.planar_drone.pilot.flight import fly
-from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, Gusts
+from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, GustProcess
 from vpptwin.robots.planar_drone.pilot.library import LIBRARY
 from vpptwin.robots.planar_drone.pilot.manoeuvre import find_manoeuvre
 from vpptwin.robots.planar_drone.pilot.scripted import ScriptedPilot
@@ -135,7 +135,7 @@ def predict(policy: Policy, task: Task, rig: Rig, twin: str | Path, count: int, 
     spec = load_twin(twin)
     pilot = Crew(policy, np.stack([a.targets for a in given]))
     start = np.array([a.plan["initial"] for a in given])
-    gusts = Gusts(spec, count, pilot.ticks, seed)
+    gusts = GustProcess(spec, count, pilot.ticks, seed)
     tracks = fly(Twin(spec, count, CARRIERS), pilot, seed, gusts, (start[:, :3], start[:, 3:]))
     poses, velocities = tracks.pose, tracks.velocity
     return summarise([judge_track(a, poses[i], velocities[i], {}, flown, vehicle) for i, a in enumerate(given)])

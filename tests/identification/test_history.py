@@ -15,7 +15,7 @@ from tests.viz.browser import Browser
 from vpptwin.cli.main import main
 from vpptwin.drift import history as module
 from vpptwin.drift.free_flight import FlightFit
-from vpptwin.drift.history import EARLIEST, History, Task, fit_flight, parse_bands
+from vpptwin.drift.history import EARLIEST, FitTask, History, fit_flight, parse_bands
 
 WEEK = 604_800 * 10**9
 GROWING, STAYING = (0.30, 0.35, 0.40, 0.45, 0.50), (0.30,) * 5
@@ -217,7 +217,7 @@ def test_another_process_has_the_same_twin(growing: list[Path], monkeypatch: pyt
     monkeypatch.setattr(module, "fit_flights", lambda spec, flights, causes: seen.append((spec, causes)))
     effects = {"slide.coulomb": {"force": 0.7}}
     flight = vpptwin.read_log(growing[0])
-    fit_flight(Task(flight, str(growing[0].parent / "rig.yaml"), (), effects, "map", ("slide.coulomb",)))
+    fit_flight(FitTask(flight, str(growing[0].parent / "rig.yaml"), (), effects, "map", ("slide.coulomb",)))
     ((spec, causes),) = seen
     assert (spec.effects, causes) == (effects, ("slide.coulomb",))
 

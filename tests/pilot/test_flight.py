@@ -10,7 +10,7 @@ import pytest
 from vpptwin.logs.channels import CHANNELS
 from vpptwin.robots.planar_drone.pilot.command import Sortie, fly_log
 from vpptwin.robots.planar_drone.pilot.flight import SimulatedFlights, fly
-from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, GUST_TIME, Gusts
+from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, GUST_TIME, GustProcess
 from vpptwin.robots.planar_drone.pilot.library import LIBRARY
 from vpptwin.robots.planar_drone.pilot.manoeuvre import find_manoeuvre
 from vpptwin.robots.planar_drone.pilot.recording import record_streams
@@ -35,7 +35,7 @@ def fly_steps(effects: EffectValues, seed: int = 1, gusts: bool = False) -> Simu
     """The same manoeuvre in a twin with effects."""
     pilot = steps()
     twin = Twin(SPEC.with_effects(effects), 1, active=CARRIERS if gusts else (), num_threads=1)
-    return fly(twin, pilot, seed, Gusts(SPEC, 1, pilot.ticks + 100, seed) if gusts else None)
+    return fly(twin, pilot, seed, GustProcess(SPEC, 1, pilot.ticks + 100, seed) if gusts else None)
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +162,7 @@ def test_a_flight_does_not_depend_on_those_beside_it(nominal: SimulatedFlights) 
 
 def test_gusts_are_as_strong_and_as_long_as_they_say() -> None:
     """One per cent of the weight, the moment at the end of an arm, alike over 0.3 s; on top of a bias that is there."""
-    blown = Gusts(SPEC.with_effects({"rail_x.bias": {"force": 0.5}}), 40, 3000, seed=5)
+    blown = GustProcess(SPEC.with_effects({"rail_x.bias": {"force": 0.5}}), 40, 3000, seed=5)
     weight = 0.45 * 9.81
     np.testing.assert_allclose(blown.force.std(axis=(0, 1)), 0.01 * weight * np.array([1.0, 1.0, 0.2]), rtol=0.05)
     later = round(GUST_TIME * 100)

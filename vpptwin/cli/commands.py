@@ -81,7 +81,7 @@ def choose_twin(options: argparse.Namespace, twins: Sequence[str]) -> Sequence[s
 
 def run_play(options: argparse.Namespace) -> None:
     """`vpptwin play`."""
-    from vpptwin.viz.command import Source, play_log
+    from vpptwin.viz.command import LogSource, play_log
 
     elsewhere = {"--live": options.live, "--html": options.html, "--video": options.video}
     other = next((name for name, value in elsewhere.items() if value is not None), None)
@@ -89,7 +89,7 @@ def run_play(options: argparse.Namespace) -> None:
         raise InputError(f"--viewer mujoco and {other} {elsewhere[other]}", "one of them", "leave one out")
     if options.live is None:
         restart = None if options.free else options.restart
-        source = Source(options.log, options.twin, restart, options.topic_map, options.effects)
+        source = LogSource(options.log, options.twin, restart, options.topic_map, options.effects)
         play_log(source, options.html, options.video, options.host, options.viewer == "mujoco")
         return
     if options.log:
@@ -106,14 +106,14 @@ def run_play(options: argparse.Namespace) -> None:
 def run_plot(options: argparse.Namespace) -> None:
     """`vpptwin plot`."""
     from vpptwin.logs.spelling import expand, stem_log
-    from vpptwin.viz.command import Source, plot
+    from vpptwin.viz.command import LogSource, plot
 
     restart = None if options.free else options.restart
     out = options.out or Path(f"{stem_log(expand(options.source[0])[0])}.png")
     if not options.force:
         check_own([out])
     check_target(out)
-    plot(Source(options.source, options.twin, restart, options.topic_map, options.effects), out, options.theme)
+    plot(LogSource(options.source, options.twin, restart, options.topic_map, options.effects), out, options.theme)
 
 
 def run_convert(options: argparse.Namespace) -> None:

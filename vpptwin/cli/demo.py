@@ -12,7 +12,7 @@ from vpptwin.system.files import check_own
 from vpptwin.system.resources import flights_dir
 from vpptwin.train.evaluate.pilot import load_pilot
 from vpptwin.twin.spec import load_twin
-from vpptwin.viz.command import Source, play_log
+from vpptwin.viz.command import LogSource, play_log
 
 DIAGNOSED = ("aggressive", "mixed", "steps")
 
@@ -35,7 +35,7 @@ def show_demo(out: Path, force: bool = False) -> None:
     print("Three flights of an independent simulation, with one effect that the nominal twin lacks. What is it?\n")
     diagnose_logs([flights / f"{name}.mcap" for name in DIAGNOSED], "nominal", out, force=force)
     print("\nA flip from the same rig, the nominal twin beside it, restarted every half second:")
-    play_log(Source([flights / "flip.mcap"], "nominal"), out / "flip.html")
+    play_log(LogSource([flights / "flip.mcap"], "nominal"), out / "flip.html")
     show_wall(out)
     print(f"\nDone in {time.perf_counter() - began:.0f} s. Open in a browser:")
     for name in ("report.html", "flip.html", "wall.html"):
@@ -47,4 +47,4 @@ def show_wall(out: Path) -> None:
     print("\nThe policy that ships rolls up beside the wall and comes back, with stronger rotors:")
     pilot, spec = load_pilot(Path("wall-backtrack"), None, load_twin("strong"), None, 0)
     fly_log(pilot, Sortie(spec, out / "wall.mcap", 0, False, {"policy": "wall-backtrack"}, describe_flight))
-    play_log(Source([out / "wall.mcap"], "strong"), out / "wall.html")
+    play_log(LogSource([out / "wall.mcap"], "strong"), out / "wall.html")

@@ -79,7 +79,7 @@ class History(ParameterHistory):
 
 
 @dataclass(frozen=True)
-class Task:
+class FitTask:
     """A flight to fit: the twin by its files, so that another process can load it."""
 
     flight: Flight
@@ -90,7 +90,7 @@ class Task:
     causes: tuple[str, ...]
 
 
-def fit_flight(task: Task) -> FlightFit:
+def fit_flight(task: FitTask) -> FlightFit:
     """Fit one flight by itself."""
     spec = load_twin(task.twin, task.effect_files).with_effects(task.effects)
     if spec.controller != task.controller:
@@ -134,7 +134,7 @@ def history(
     read = [flight.path for flight in flights]
     origin = trace_origin(["history", *map(str, read), "--twin", spec.name, *options], spec.name, read)
     shared = (locate_twin(spec.name), tuple(file.resolve() for file in spec.effect_files), spec.effects)
-    tasks = [Task(flight, *shared, spec.controller, tuple(causes)) for flight in flights]
+    tasks = [FitTask(flight, *shared, spec.controller, tuple(causes)) for flight in flights]
     fits: dict[int, FlightFit] = {}
     with open_bar(desc="history", disable=not progress, total=len(tasks), unit=" flights", unit_scale=False) as bar:
         for number, fit in share_out(fit_flight, tasks, jobs):

@@ -31,7 +31,7 @@ class FreeBody:
         force, torque: that typically drive, accelerate or weigh on it [N], [N m].
         speed: that it typically reaches [m/s].
         shift: of its centre of mass that would show [m]; 0 for a share of its size.
-        room: factor on bounds, as `Place` has it.
+        room: factor on bounds, as `JointScale` has it.
     """
 
     name: str

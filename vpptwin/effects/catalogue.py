@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from vpptwin.effects import actuator, friction, joint, link, sensing
 from vpptwin.effects.base import Effect
-from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION, Place
+from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION, JointScale
 from vpptwin.effects.link import Link
 
 GENERIC_JOINT = (
@@ -62,16 +62,16 @@ JOINTS = "joints"
 def generic_place(
     name: str, rotary: bool, scale: float, reason: str = "", room: float = GENERIC_ROOM, driven: bool = False,
     dof: int = 0, **known: float,
-) -> Place:  # fmt: skip
-    """A joint of any rig: its typical force [N] or torque [N m], and what else of `Place` is known of it."""
+) -> JointScale:  # fmt: skip
+    """A joint of any rig: its typical force [N] or torque [N m], and what else of `JointScale` is known of it."""
     reason = reason or (f"{HINGE_ACCELERATION:g} rad/s^2" if rotary else f"{SLIDE_ACCELERATION:g} m/s^2")
     where = f"on joint {name}"
-    return Place(name, where, rotary, scale, GENERIC_TOLERANCE, GENERIC_SIZE, f"from {reason}", room=room,
+    return JointScale(name, where, rotary, scale, GENERIC_TOLERANCE, GENERIC_SIZE, f"from {reason}", room=room,
                  driven=driven, dof=dof, **known)  # fmt: skip
 
 
 def effects_for_rig(
-    joints: Iterable[Place], actuators: Mapping[str, float], room: float = INPUT_ROOM,
+    joints: Iterable[JointScale], actuators: Mapping[str, float], room: float = INPUT_ROOM,
     loops: Mapping[str, tuple[Effect, ...]] | None = None, groups: Iterable[tuple[str, ...]] = (),
     links: Iterable[Link] = (), mounted: bool = False, contacts: Iterable[Effect] = (), whole: tuple[str, ...] = (),
     drives: Mapping[tuple[str, ...], tuple[str, ...]] | None = None,
@@ -133,7 +133,7 @@ def name_together(names: tuple[str, ...], whole: tuple[str, ...], actuators: Ite
     return actuator.WHOLE if set(names) == set(whole) and actuator.WHOLE not in actuators else "+".join(names)
 
 
-def effects_for_drives(places: Sequence[Place], count: int) -> list[Effect]:
+def effects_for_drives(places: Sequence[JointScale], count: int) -> list[Effect]:
     """What the drives of joints may have alike, of a rig with `count` joints; nothing for fewer than three of them.
 
     What is tolerated of each is tolerated of all, so that these tolerate nothing beside.
@@ -159,7 +159,7 @@ def tolerate_nothing(effect: Effect) -> Effect:
     return replace(effect, parameters=tuple(replace(p, tolerance=0.0) for p in effect.parameters))
 
 
-def effects_for_ball(place: Place, ways: tuple[str, ...]) -> tuple[Effect, ...]:
+def effects_for_ball(place: JointScale, ways: tuple[str, ...]) -> tuple[Effect, ...]:
     """Friction in a ball joint, alike about all of its axes, whose degrees of freedom are called `ways`."""
     found = friction.coulomb(place, (f"{place.joint}.viscous",)), joint.viscous(place, (f"{place.joint}.coulomb",))
     return tuple(replace(effect, members=ways) for effect in found)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from vpptwin.effects.base import Motion, Stage, State
-from vpptwin.effects.joint import JointLaw, Place
+from vpptwin.effects.joint import JointLaw, JointScale
 from vpptwin.effects.parameter import Parameter, Prior
 
 BREAKAWAY = 0.25
@@ -48,7 +48,7 @@ def apply_stiction(level: float, motion: Motion, /, force: float, velocity: floa
     return level + force * np.exp(-ratio * ratio)
 
 
-def list_stiction(place: Place) -> tuple[Parameter, ...]:
+def list_stiction(place: JointScale) -> tuple[Parameter, ...]:
     """Breakaway beyond sliding friction, and the speed at which it is over."""
     typical = 0.2 if place.rotary else 0.05
     force = place.parameter("force", place.effort, 0.0, 2.0, Prior("halfnormal", 0.0, 0.1))
@@ -105,7 +105,7 @@ def apply_tight_spot(level: float, motion: Motion, /, force: float, place: float
     return level + force * np.exp(-ratio * ratio)
 
 
-def list_tight_spot(place: Place) -> tuple[Parameter, ...]:
+def list_tight_spot(place: JointScale) -> tuple[Parameter, ...]:
     """Strength of a tight spot, anywhere that the joint gets to, and its width."""
     reach, at, room = place.reach, place.middle, place.room
     return (
@@ -147,7 +147,7 @@ def apply_lugre(
     return -np.minimum(np.maximum(wanted, np.minimum(held, -backward)), np.maximum(held, forward)), bent
 
 
-def list_lugre(place: Place) -> tuple[Parameter, ...]:
+def list_lugre(place: JointScale) -> tuple[Parameter, ...]:
     """How far bristles bend by a force."""
     size = (GIVE_ROTARY if place.rotary else GIVE) / place.scale
     return (

@@ -25,7 +25,7 @@ SLIDE_ACCELERATION, HINGE_ACCELERATION = 10.0, 30.0
 
 
 @dataclass(frozen=True)
-class Place:
+class JointScale:
     """A joint that effects are made for.
 
     Attributes:
@@ -100,7 +100,7 @@ class JointLaw:
         parameters: those of a joint.
         alike: kinds of effects on the same joint that are hard to tell from it.
         modifies: kinds that it modifies.
-        only: the attribute of `Place` without which a joint lacks it: "rotary" or "driven", "" for none.
+        only: the attribute of `JointScale` without which a joint lacks it: "rotary" or "driven", "" for none.
     """
 
     kind: str
@@ -108,7 +108,7 @@ class JointLaw:
     equation: str
     stage: Stage
     apply: ApplyFunction
-    parameters: Callable[[Place], tuple[Parameter, ...]]
+    parameters: Callable[[JointScale], tuple[Parameter, ...]]
     alike: tuple[str, ...] = ()
     shows: tuple[str, ...] = JOINT_SHOWS
     modifies: tuple[str, ...] = ()
@@ -119,7 +119,7 @@ class JointLaw:
     states: tuple[State, ...] = ()
 
     def __call__(
-        self, place: Place, look_alikes: tuple[str, ...] = (), modifies: tuple[str, ...] | None = None,
+        self, place: JointScale, look_alikes: tuple[str, ...] = (), modifies: tuple[str, ...] | None = None,
         needs: tuple[str, ...] = (),
     ) -> Effect:  # fmt: skip
         """The effect on a joint; look-alikes are ids, and so many kinds are modified as the joint has."""
@@ -175,7 +175,7 @@ def apply_spring(motion: Motion, /, stiffness: float, rest: float) -> float:
     return -stiffness * (motion.position - rest)
 
 
-def list_spring(place: Place) -> tuple[Parameter, ...]:
+def list_spring(place: JointScale) -> tuple[Parameter, ...]:
     """Stiffness of a spring, and where it is at rest."""
     reach = 3.2 if place.rotary else 2.0
     travel, most = place.travel or 1.0, max(reach, abs(place.middle) + 2.0 * place.travel)
@@ -199,7 +199,7 @@ def apply_cogging(motion: Motion, /, force: float, waves: float, phase: float) -
     return force * np.sin(2.0 * np.pi * waves * motion.position + phase)
 
 
-def list_cogging(place: Place) -> tuple[Parameter, ...]:
+def list_cogging(place: JointScale) -> tuple[Parameter, ...]:
     """Strength of cogging, how often it comes again, and where."""
     reach = place.reach
     return (
@@ -237,7 +237,7 @@ fade = JointLaw(
 )  # fmt: skip
 
 
-def list_inertia(place: Place) -> tuple[Parameter, ...]:
+def list_inertia(place: JointScale) -> tuple[Parameter, ...]:
     """Mass or moment of inertia that a joint moves besides what the model says."""
     driven = place.scale / (HINGE_ACCELERATION if place.rotary else SLIDE_ACCELERATION)
     carried = place.carried or driven

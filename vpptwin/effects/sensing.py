@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from vpptwin.effects.base import Effect, Stage
 from vpptwin.effects.body import AXES, BODY_SHOWS
 from vpptwin.effects.constants import add, multiply
-from vpptwin.effects.joint import JointLaw, Place
+from vpptwin.effects.joint import JointLaw, JointScale
 from vpptwin.effects.parameter import Parameter, Prior
 
 LINEAR, ANGULAR = (0, 1, 2), (3, 4, 5)
@@ -135,7 +135,7 @@ def rate_scale(sensor: Sensor, alike: tuple[str, ...] = ()) -> Effect:
     return sensor.misread("scale", f"a wrong scale of {sensor.what}", "q × scale", [RATE_SCALE], places, alike)
 
 
-def list_velocity_bias(place: Place) -> tuple[Parameter, ...]:
+def list_velocity_bias(place: JointScale) -> tuple[Parameter, ...]:
     """What logged velocities of a joint may read at rest."""
     bias = bias_of_rates("bias", SLIGHT * place.speed, f"{place.length}/s", "half a percent of what it reaches")
     return (replace(bias, low=place.room * bias.low, high=place.room * bias.high),)

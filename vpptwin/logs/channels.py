@@ -45,7 +45,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Channel:
+class MessageChannel:
     """One topic."""
 
     topic: str  # canonical name
@@ -64,22 +64,22 @@ def _plain(
     return Column(name, unit, Source((path or name,), (scale,)), width, optional, limit, mistake)
 
 
-def _pose(topic: str, steady: bool) -> Channel:
+def _pose(topic: str, steady: bool) -> MessageChannel:
     columns = (
         _plain("x", "m", "pose.position.x", limit=50.0, mistake="millimetres, centimetres or inches"),
         _plain("z", "m", "pose.position.z", limit=50.0, mistake="millimetres, centimetres or inches"),
         Column("theta", "rad", Source(("pose.orientation",), axis="-y")),
     )
-    return Channel(topic, "geometry_msgs/msg/PoseStamped", columns, steady)
+    return MessageChannel(topic, "geometry_msgs/msg/PoseStamped", columns, steady)
 
 
 _UNMEASURED = ("temperature", "current", "charge", "capacity", "design_capacity", "percentage")
 
-CHANNELS: dict[str, Channel] = {
+CHANNELS: dict[str, MessageChannel] = {
     channel.topic: channel
     for channel in (
         _pose("/mocap/pose", steady=True),
-        Channel(
+        MessageChannel(
             "/imu/data",
             "sensor_msgs/msg/Imu",
             (
@@ -90,13 +90,13 @@ CHANNELS: dict[str, Channel] = {
             constants={"orientation.w": 1.0, "orientation_covariance[0]": -1.0},  # -1: the IMU estimates no orientation
             frame_id="body",
         ),
-        Channel(
+        MessageChannel(
             "/cmd/rate_thrust",
             "vpptwin_msgs/msg/RateThrust",
             (_plain("thrust", "N"), _plain("rate", "rad/s", limit=200.0, mistake="degrees per second")),
             frame_id="body",
         ),
-        Channel(
+        MessageChannel(
             "/rotor/command",
             "vpptwin_msgs/msg/RotorCommand",
             (
@@ -105,7 +105,7 @@ CHANNELS: dict[str, Channel] = {
             ),
             frame_id="body",
         ),
-        Channel(
+        MessageChannel(
             "/rotor/state",
             "vpptwin_msgs/msg/RotorState",
             (
@@ -115,7 +115,7 @@ CHANNELS: dict[str, Channel] = {
             frame_id="body",
         ),
         _pose("/setpoint/pose", steady=False),
-        Channel(
+        MessageChannel(
             "/battery",
             "sensor_msgs/msg/BatteryState",
             (_plain("voltage", "V", optional=True, limit=1000.0, mistake="millivolts"),),
@@ -123,7 +123,7 @@ CHANNELS: dict[str, Channel] = {
             constants=dict.fromkeys(_UNMEASURED, math.nan) | {"present": 1},
             frame_id="",
         ),
-        Channel(
+        MessageChannel(
             "/thrust_stand/wrench",
             "geometry_msgs/msg/WrenchStamped",
             (_plain("force_z", "N", "wrench.force.z"), _plain("torque_z", "N m", "wrench.torque.z", optional=True)),

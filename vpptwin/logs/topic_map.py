@@ -21,8 +21,8 @@ from vpptwin.logs.channels import (
     OPTIONAL_COLUMNS,
     SIGNAL_COLUMNS,
     SPATIAL_COLUMNS,
-    Channel,
     Column,
+    MessageChannel,
     Source,
 )
 from vpptwin.logs.messages import shorten_type
@@ -52,7 +52,7 @@ class Route:
         origin: the topic map file, or empty.
     """
 
-    channel: Channel
+    channel: MessageChannel
     topic: str
     sources: dict[str, Source]
     stamp: Stamp
@@ -237,7 +237,7 @@ def _read_document(path: Path) -> dict[str, TopicEntry]:
         raise InputError(f"{path}: {key}: {first['msg']}", f"an entry like {_EXAMPLE}", "correct this key") from None
 
 
-def _build_source(where: str, channel: Channel, name: str, entry: FieldEntry) -> Source:
+def _build_source(where: str, channel: MessageChannel, name: str, entry: FieldEntry) -> Source:
     columns = {column.name: column for column in channel.columns}
     if name not in columns:
         raise InputError(f"{where}", f"one of the columns {', '.join(columns)}", "correct the key")

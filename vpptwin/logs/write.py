@@ -18,7 +18,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import LIBRARY_IDENTIFIER, Writer
 from mcap_ros2._dynamic import serialize_dynamic
 
-from vpptwin.logs.channels import CHANNELS, JOINT_COLUMNS, JOINT_STATE, Channel
+from vpptwin.logs.channels import CHANNELS, JOINT_COLUMNS, JOINT_STATE, MessageChannel
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.formats.decode import find_leaf
 from vpptwin.logs.formats.layout import MessageLayout, compose_message, parse_definition
@@ -199,7 +199,7 @@ class FlightWriter:
         self._writer.add_metadata("vpptwin", dict(metadata))
 
     def _find_template(
-        self, topic: str, message_type: str, channel: Channel | None, names: tuple[str, ...] = (),
+        self, topic: str, message_type: str, channel: MessageChannel | None, names: tuple[str, ...] = (),
         present: tuple[str, ...] = (),
     ) -> _Template:  # fmt: skip
         key = (topic, names, present)
@@ -236,7 +236,7 @@ class FlightWriter:
         return self._channels[topic]
 
 
-def find_channel(topic: str) -> Channel:
+def find_channel(topic: str) -> MessageChannel:
     """The channel whose form messages on a topic take: its own, or that of the canonical topic that it ends with.
 
     Raises:

@@ -49,7 +49,7 @@ SMOOTH = 0.05
 
 
 @dataclass(frozen=True)
-class Candidate:
+class BodyCandidate:
     """What signals of a body may be: `quantity`, in `unit` ("" for SI or none), in words, and whether that is sure."""
 
     quantity: str
@@ -111,10 +111,10 @@ def guess_bodies(model: mujoco.MjModel, signals: Sequence[Signal], actuators: Co
     return guesses
 
 
-def take(guess: Guess, candidates: Sequence[Candidate], wanted: Sequence[str] = ()) -> None:
+def take(guess: Guess, candidates: Sequence[BodyCandidate], wanted: Sequence[str] = ()) -> None:
     """Give a body or an IMU the likeliest of what its signals may be, all from the topic that has most of it."""
 
-    def rank(each: Candidate) -> tuple[int, bool, int]:
+    def rank(each: BodyCandidate) -> tuple[int, bool, int]:
         topic = each.signals[0].topic
         beside = {other.quantity for other in candidates if other.signals[0].topic == topic}
         return -len(beside & set(wanted)), not each.sure, max(map(rank_source, each.signals))
@@ -210,7 +210,7 @@ def tell_partial(signals: Sequence[Signal]) -> str:
     return ""
 
 
-def tell_body(signals: Sequence[Signal], body: str) -> Iterator[Candidate]:
+def tell_body(signals: Sequence[Signal], body: str) -> Iterator[BodyCandidate]:
     """What a body's signals are: position, attitude and rate, and, without a quantity, what shows the same."""
     attitudes: dict[str, list[Signal]] = {}
     measured = [signal for signal in signals if not is_commanded(signal)]
@@ -227,7 +227,7 @@ def tell_body(signals: Sequence[Signal], body: str) -> Iterator[Candidate]:
             unit = unit if said else "rad" if small else "deg"
             attitudes[stem] = turn_signals(group, dict(ANGLES)[unit])
             text = f"attitude: {stem}roll, pitch, yaw in {unit}{'' if said else ' by how far they go'}"
-            yield Candidate("attitude", text, False, tuple(group), "" if unit == "rad" else unit)
+            yield BodyCandidate("attitude", text, False, tuple(group), "" if unit == "rad" else unit)
     places = {stem: group for stem, group in triples.items() if angles or stem not in attitudes}
     yield from tell_positions(places, body, attitudes)
     for stem, group in find_groups(signals, EULER).items():
@@ -245,20 +245,22 @@ def tell_body(signals: Sequence[Signal], body: str) -> Iterator[Candidate]:
         yield tell_gyro(stem, group, next(iter(attitudes.values())))
 
 
-def tell_positions(triples: Mapping[str, list[Signal]], body: str, attitudes: Container[str]) -> Iterator[Candidate]:
+def tell_positions(
+    triples: Mapping[str, list[Signal]], body: str, attitudes: Container[str]
+) -> Iterator[BodyCandidate]:
     """Positions, by the name of the message, the body or its attitude, or each with the velocity that is its slope."""
     for stem, group in triples.items():
         topic, _, name = stem.partition(" ")
         axes = f"{stem} of three numbers" if group[0].label[-1:] in "0123]" else f"{stem}x, y, z"
         bare = name.rstrip("._")
         if bare and any(f"{stem}{turned}" in attitudes for turned in BESIDE):
-            yield Candidate("position", f"position: {axes}: called as its attitude", True, tuple(group))
+            yield BodyCandidate("position", f"position: {axes}: called as its attitude", True, tuple(group))
             continue
         if name in ROS_POSITIONS:
-            yield Candidate("position", f"position: {axes}, of a message of poses", True, tuple(group))
+            yield BodyCandidate("position", f"position: {axes}, of a message of poses", True, tuple(group))
         words = [word for word in split_words(name) if word not in NAMED]
         if words and (words == split_words(body) or set(words) <= TRACKED):
-            yield Candidate("position", f"position: {axes}: its name", True, tuple(group))
+            yield BodyCandidate("position", f"position: {axes}: its name", True, tuple(group))
             continue
         place = re.fullmatch(r"(|.*[._])(p|pos|position)([._]?)", name)
         if place is None and bare and not bare.endswith(("state", "estimate")):
@@ -266,7 +268,7 @@ def tell_positions(triples: Mapping[str, list[Signal]], body: str, attitudes: Co
         base = place.group(1) + RATES[place.group(2)] + place.group(3) if place else f"{name}v"
         velocity = triples.get(f"{topic} {base}")
         if velocity is None:
-            yield Candidate("position", f"position: {axes} by name alone", False, tuple(group))
+            yield BodyCandidate("position", f"position: {axes} by name alone", False, tuple(group))
             continue
         tests = [compare_slope(p, v) for p, v in zip(group, velocity)]
         shares = [share for r, share in tests if np.isfinite(r) and r > SLOPE]
@@ -274,12 +276,12 @@ def tell_positions(triples: Mapping[str, list[Signal]], body: str, attitudes: Co
         numbers = ", ".join(f"{share:.2f} (r {r:.2f})" for r, share in tests)
         beside = base if axes.endswith("numbers") else f"{base}x, vy, vz" if base.endswith("v") else f"{base}x, y, z"
         text = f"position: {axes}, velocity {beside}; shares of the slope {numbers}"
-        yield Candidate("position", text, good, tuple(group))
+        yield BodyCandidate("position", text, good, tuple(group))
 
 
 def tell_quaternion(
     stem: str, group: Sequence[Signal], named: bool, turning: Mapping[str, Sequence[Signal]]
-) -> tuple[Candidate, list[Signal]]:
+) -> tuple[BodyCandidate, list[Signal]]:
     """What a quaternion is, and its x, y, z, w; where rates say so, in another order or sense than its names do."""
     time, numbers = stack(group)
     rates = [stack(rate) for rate in turning.values()]
@@ -306,10 +308,10 @@ def tell_quaternion(
     ordered = [group[i] for i in better.order]
     more = {"scale": [int(sign) for sign in better.signs]} if min(better.signs) < 0.0 else {}
     w, x, y, z = (replace(signal, values=sign * signal.values) for signal, sign in zip(ordered, better.signs))
-    return Candidate("attitude", text, sure, tuple(ordered), "", more), [x, y, z, w]
+    return BodyCandidate("attitude", text, sure, tuple(ordered), "", more), [x, y, z, w]
 
 
-def tell_angles(stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) -> Candidate:
+def tell_angles(stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) -> BodyCandidate:
     """In which unit roll, pitch and yaw show the attitude, and which of them with the other sign."""
     x, y, z, w = (signal.values for signal in attitude)
     roll, pitch, yaw = read_angles(np.stack([w, x, y, z], axis=1)).T
@@ -324,10 +326,10 @@ def tell_angles(stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) 
     turned = [name for name, (r, _) in zip(("roll", "pitch", "yaw"), shares) if r < -SLOPE]
     text = f"angles: {stem}roll, pitch, yaw in {unit or 'no known unit'}"
     text += f", {' and '.join(turned)} with the other sign" if turned else ""
-    return Candidate("", f"{text}; shares of the attitude {numbers}", sure, tuple(group))
+    return BodyCandidate("", f"{text}; shares of the attitude {numbers}", sure, tuple(group))
 
 
-def tell_gravity(stem: str, group: Sequence[Signal]) -> Candidate:
+def tell_gravity(stem: str, group: Sequence[Signal]) -> BodyCandidate:
     """In which unit an accelerometer shows gravity where it is stillest."""
     norm = np.sqrt(np.sum([signal.values**2 for signal in group], axis=0))
     width = max(round(REST_S * group[0].rate), 2)
@@ -336,10 +338,10 @@ def tell_gravity(stem: str, group: Sequence[Signal]) -> Candidate:
     unit = next((unit for unit, one in GRAVITIES if 0.9 < rest * one / 9.80665 < 1.1), "")
     text = f"accelerometer: {stem}x, y, z shows {rest:.4g} at rest (spread {spread:.2g})"
     text += f", so it is in {unit}" if unit else ": no gravity in any unit"
-    return Candidate("", text, bool(unit), tuple(group))
+    return BodyCandidate("", text, bool(unit), tuple(group))
 
 
-def tell_gyro(stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) -> Candidate:
+def tell_gyro(stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) -> BodyCandidate:
     """In which unit rates turn with the attitude, and about which axes."""
     (time, q), (clock, values) = stack([attitude[3], *attitude[:3]]), stack(group)
     better, about, ordered = find_convention((time, q), (clock, values)), "", list(group)
@@ -375,7 +377,7 @@ def tell_gyro(stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) ->
     text = f"{kind}: {stem}x, y, z{about} in {unit or 'no known unit'}; shares of the turning {numbers}"
     text += f", {1e3 * lag:.0f} ms after the attitude" if lag else ""
     sure = sure and (better is None or better.of == "frame")
-    return Candidate("rate", text, sure, tuple(ordered), "" if unit == "rad/s" else unit, more)
+    return BodyCandidate("rate", text, sure, tuple(ordered), "" if unit == "rad/s" else unit, more)
 
 
 def choose_unit(tests: Sequence[tuple[float, float]], units: Sequence[tuple[str, float]]) -> tuple[str, bool, str]:

@@ -11,7 +11,7 @@ import numpy as np
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.spelling import stem_log
 from vpptwin.logs.write import FlightWriter, merge_times
-from vpptwin.report.prediction import FlightPrediction, Track
+from vpptwin.report.prediction import FlightPrediction, PredictedSeries
 from vpptwin.twin.robot.robot import Robot, by_robot
 from vpptwin.twin.spec import TwinSpec
 
@@ -84,7 +84,7 @@ def find_offset(flight: Flight) -> float:
     return offset if abs(offset) > OTHER_CLOCK else 0.0
 
 
-def thin_tracks(tracks: Sequence[Track]) -> list[Track]:
+def thin_tracks(tracks: Sequence[PredictedSeries]) -> list[PredictedSeries]:
     """Of every quantity at most `MOST` samples a second, where every twin was simulated; all where that is about right.
 
     Of those in one stretch that is taken which shares its message with most others: one message holds them then.
@@ -101,7 +101,7 @@ def thin_tracks(tracks: Sequence[Track]) -> list[Track]:
     return thinned
 
 
-def group_messages(tracks: Sequence[Track]) -> Iterator[tuple[np.ndarray, dict[int, np.ndarray]]]:
+def group_messages(tracks: Sequence[PredictedSeries]) -> Iterator[tuple[np.ndarray, dict[int, np.ndarray]]]:
     """Messages by which quantities they hold: their stamps (n,) [s], and index of a quantity → its rows (n,).
 
     What came in one message has its stamp, whatever else is missing there or was moved to another time since.
@@ -116,7 +116,7 @@ def group_messages(tracks: Sequence[Track]) -> Iterator[tuple[np.ndarray, dict[i
 
 
 @by_robot
-def list_topics(robot: Robot, twin: str, tracks: Sequence[Track], i: int) -> list[Topic]:
+def list_topics(robot: Robot, twin: str, tracks: Sequence[PredictedSeries], i: int) -> list[Topic]:
     """Joints of a rig as one twin gives them; in one message those that one of the log's held with the same columns."""
     dofs = {int(robot.model.joint(joint).dofadr[0]): joint for joint in robot.signals.joints}
     topics = []
@@ -132,12 +132,12 @@ def list_topics(robot: Robot, twin: str, tracks: Sequence[Track], i: int) -> lis
     return topics
 
 
-def plain_name(track: Track) -> str:
+def plain_name(track: PredictedSeries) -> str:
     """What a quantity is called in names of topics."""
     return track.name.replace("θ", "theta").replace(" ", "_")
 
 
-def list_residual(twin: str, track: Track, i: int) -> Topic:
+def list_residual(twin: str, track: PredictedSeries, i: int) -> Topic:
     """Measured minus predicted of one quantity."""
     name = plain_name(track)
     return Topic(f"/twin/{twin}/residual/{name}", track.stamp / 1e9, joints={name: {track.kind: track.residual[i]}})

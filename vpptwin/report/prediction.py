@@ -20,7 +20,7 @@ RESTART = 0.5
 
 
 @dataclass(frozen=True)
-class Track:
+class PredictedSeries:
     """One measured quantity of a flight."""
 
     name: str  # what it is, e.g. `x` or `pitch rate`
@@ -48,7 +48,7 @@ class Track:
         """Where all twins were simulated, (n,) bool."""
         return np.isfinite(self.predicted).all(axis=0)
 
-    def take(self, rows: np.ndarray) -> Track:
+    def take(self, rows: np.ndarray) -> PredictedSeries:
         """Some of the samples, by index or (n,) bool."""
         time, measured, predicted = self.time[rows], self.measured[rows], self.predicted[:, rows]
         return replace(self, time=time, measured=measured, predicted=predicted)
@@ -59,7 +59,7 @@ class FlightPrediction:
     """A flight beside one or several twins."""
 
     flight: Flight  # the log
-    tracks: list[Track]  # everything measured, positions first
+    tracks: list[PredictedSeries]  # everything measured, positions first
     restarts: np.ndarray  # when the twins were put back to the log [s]
 
 
@@ -94,7 +94,7 @@ def predict_flight(
                 given = series, dof, kind, place, first
                 predicted = [read_sensor(r, c, *given) for r, c in zip(replays, constants, strict=True)]
             logged = (series.time, series.value, float(series.std), np.array(predicted), series.late)
-            tracks.append(Track(series.name, series.unit, kind, dof, *logged))
+            tracks.append(PredictedSeries(series.name, series.unit, kind, dof, *logged))
     return FlightPrediction(flight, tracks, replays[0].restarts)
 
 

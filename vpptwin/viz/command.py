@@ -16,7 +16,7 @@ from vpptwin.twin.spec import TwinSpec, load_twin
 
 
 @dataclass(frozen=True)
-class Source:
+class LogSource:
     """What is shown."""
 
     files: Sequence[Path]  # of one recording, or, for plots, folders of training runs
@@ -54,7 +54,7 @@ def look_over(spec: TwinSpec, flight: Flight) -> list[str]:
 
 
 def play_log(
-    source: Source, html: Path | None, video: Path | None = None, host: str = "127.0.0.1", in_window: bool = False
+    source: LogSource, html: Path | None, video: Path | None = None, host: str = "127.0.0.1", in_window: bool = False
 ) -> None:
     """Play one recording.
 
@@ -86,7 +86,7 @@ def play_log(
         play_live(flight, prediction, spec=spec, host=host)
 
 
-def plot(source: Source, out: Path, theme: str = "light") -> None:
+def plot(source: LogSource, out: Path, theme: str = "light") -> None:
     """Draw one recording, or training runs.
 
     Args:

@@ -14,7 +14,7 @@ from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.search.separation import refit_misfit, separate
 from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.robots.planar_drone.experiment import (
-    Candidate,
+    FlownManoeuvre,
     explain_absence,
     fly_library,
     observe_candidates,
@@ -37,13 +37,13 @@ FEW = ("hover", "x_steps", "aggressive_x", "low_pass", "flip")
 
 
 @pytest.fixture(scope="module")
-def few() -> tuple[list[Candidate], Bench]:
+def few() -> tuple[list[FlownManoeuvre], Bench]:
     """Five manoeuvres of the library, flown in the nominal twin."""
     candidates = [c for c in fly_library(SPEC, [Explanation(frozenset(), {})]) if c.manoeuvre.name in FEW]
     return candidates, observe_candidates(SPEC, candidates)
 
 
-def rank(few: tuple[list[Candidate], Bench], *hypotheses: Explanation) -> dict[str, np.ndarray]:
+def rank(few: tuple[list[FlownManoeuvre], Bench], *hypotheses: Explanation) -> dict[str, np.ndarray]:
     """Separation of every rival by each of the five."""
     candidates, bench = few
     sigma = separate(bench, hypotheses, UNKNOWNS)
@@ -53,14 +53,14 @@ def rank(few: tuple[list[Candidate], Bench], *hypotheses: Explanation) -> dict[s
 
 
 @pytest.mark.slow
-def test_delay_and_lag_are_told_apart_by_fast_turns(few: tuple[list[Candidate], Bench]) -> None:
+def test_delay_and_lag_are_told_apart_by_fast_turns(few: tuple[list[FlownManoeuvre], Bench]) -> None:
     """Steps and turns move the servos fast; hovering does not tell."""
     sigma = rank(few, DELAY, LAG)
     assert max(sigma["flip"], sigma["x_steps"]) > 10.0
     assert sigma["hover"] < 0.2 * sigma["x_steps"]
 
 
-def test_rivals_are_told_apart_by_what_the_physics_says(few: tuple[list[Candidate], Bench]) -> None:
+def test_rivals_are_told_apart_by_what_the_physics_says(few: tuple[list[FlownManoeuvre], Bench]) -> None:
     """By hand: along z only the ratio of thrust and lifted mass counts, along x the carriage adds to the mass."""
     sigma = rank(few, MASS, GAIN)
     assert sigma["x_steps"] > 3.0
@@ -74,7 +74,7 @@ def test_rivals_are_told_apart_by_what_the_physics_says(few: tuple[list[Candidat
     assert all(tilt < 0.5 and viscous > 3.0 for tilt, viscous in sigma.values())
 
 
-def test_more_windows_tell_more(few: tuple[list[Candidate], Bench]) -> None:
+def test_more_windows_tell_more(few: tuple[list[FlownManoeuvre], Bench]) -> None:
     """Four times as many windows separate by up to twice as much: tolerances do not grow with the flight."""
     _, bench = few
     flights = bench.windows.flight
@@ -85,7 +85,7 @@ def test_more_windows_tell_more(few: tuple[list[Candidate], Bench]) -> None:
 
 
 @pytest.mark.slow
-def test_a_flight_keeps_what_was_predicted(few: tuple[list[Candidate], Bench]) -> None:
+def test_a_flight_keeps_what_was_predicted(few: tuple[list[FlownManoeuvre], Bench]) -> None:
     """Flown for 20 s with noise and gusts and fitted by the search, steps separate about as much as was predicted."""
     candidates, bench = few
     windows = np.full(len(candidates), 20.0 / 0.3)

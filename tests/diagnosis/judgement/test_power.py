@@ -14,7 +14,7 @@ from vpptwin.diagnosis.judgement.verdict import Cleared, Unseen
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects.friction import asymmetry
-from vpptwin.effects.joint import Place
+from vpptwin.effects.joint import JointScale
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +96,6 @@ def test_what_excludes_the_twin_is_not_cleared(tmp_path: Path) -> None:
 
 def test_what_only_changes_another_effect_needs_it(moving: Search) -> None:
     """Friction that depends on the direction is not there to be seen where there is no friction."""
-    effect = asymmetry(Place("a", "on a"))
+    effect = asymmetry(JointScale("a", "on a"))
     found = weigh_strength(moving, moving.start, Unknown(effect, effect.parameters[0], 0.0))
     assert found == Unseen("a.asymmetry", "it only changes a.coulomb, which is not there")

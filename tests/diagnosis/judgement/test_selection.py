@@ -44,10 +44,10 @@ from vpptwin.diagnosis.search.shortlist import Start
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects.body import FreeBody, effects_for_body
 from vpptwin.effects.friction import asymmetry, coulomb, stiction
-from vpptwin.effects.joint import Place, bias, spring, viscous
+from vpptwin.effects.joint import JointScale, bias, spring, viscous
 from vpptwin.effects.link import Link, effects_for_links
 
-PLACE = Place("a", "on a", tolerance=0.02)
+PLACE = JointScale("a", "on a", tolerance=0.02)
 UNKNOWNS = tuple(
     Unknown(effect, p, 0.1 if effect.id == "a.viscous" else p.off)
     for effect in (
@@ -56,7 +56,7 @@ UNKNOWNS = tuple(
         bias(PLACE),
         spring(PLACE),
         stiction(PLACE),
-        coulomb(Place("b", "on b")),
+        coulomb(JointScale("b", "on b")),
         asymmetry(PLACE),
     )
     for p in effect.parameters

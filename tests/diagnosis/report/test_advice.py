@@ -13,7 +13,7 @@ from tests.diagnosis.made_up import EXPERIMENT, read_demo
 from tests.twin.own_effect_files import write_rig
 from vpptwin.cli.main import build_parser
 from vpptwin.diagnosis.judgement.verdict import Misfit, Rival, Unexplained, Unseen, Verdict
-from vpptwin.report.html.advice import Session, Step, list_steps
+from vpptwin.report.html.advice import NextStep, Session, list_steps
 from vpptwin.train.main import parse_overrides
 from vpptwin.twin.spec import TwinSpec, load_twin
 
@@ -21,14 +21,14 @@ NAMED = replace(VERDICT, causes=[replace(CAUSE, also_explained_by=[])], unseen=[
 LEFT = Unexplained(True, 0.4, "slide", ["slide velocity"], 7.0, 0.03)
 
 
-def advise(verdict: Verdict, spec: TwinSpec, options: tuple[str, ...] = ()) -> list[Step]:
+def advise(verdict: Verdict, spec: TwinSpec, options: tuple[str, ...] = ()) -> list[NextStep]:
     """Steps of a diagnosis of one log, written into a folder with a space in its name."""
     session = Session(spec, ["a flight.mcap"], options, Path("out/x y"))
     told = "x_steps: apart." if verdict.experiment is not None else None
     return list_steps(verdict, session, told, {"rail_x.viscous": "viscous friction"})
 
 
-def list_commands(steps: list[Step]) -> list[list[str]]:
+def list_commands(steps: list[NextStep]) -> list[list[str]]:
     """Commands as words, every one of which the command line takes."""
     commands = [shlex.split(step.command)[1:] for step in steps if step.command]
     for words in commands:

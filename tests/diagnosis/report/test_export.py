@@ -18,7 +18,7 @@ from tests.estimation.synthetic import draw_commands, fly_own
 from vpptwin.logs import Stream, read_flight, write_flight
 from vpptwin.logs.flight import Flight
 from vpptwin.report.export import name_files, write_prediction
-from vpptwin.report.prediction import FlightPrediction, Track, predict_flight
+from vpptwin.report.prediction import FlightPrediction, PredictedSeries, predict_flight
 from vpptwin.report.rerun import write_rrd
 from vpptwin.system.files import is_own
 from vpptwin.twin.spec import TwinSpec, load_twin
@@ -193,7 +193,7 @@ def test_joints_that_are_not_in_every_message_lie_beside_those_that_are(
     """Joint b is in every second message, its velocity never; a NaN and other rates part nothing else."""
     spec, time = load_rig(TWO, f"{{joints: {{a: {topics[0]}, b: {topics[1]}}}}}"), 0.02 * np.arange(50)
     given = (("a", "position", 0, time), ("a rate", "velocity", 0, time), ("b", "position", 1, time[::2]))
-    tracks = [Track(n, "rad", kind, dof, t, t, 1e-3, np.array([dof + t])) for n, kind, dof, t in given]
+    tracks = [PredictedSeries(n, "rad", kind, dof, t, t, 1e-3, np.array([dof + t])) for n, kind, dof, t in given]
     tracks[1].predicted[0, 7] = np.nan
     flight = Flight(tmp_path / "none.mcap", 0, {}, {})
     write_prediction(tmp_path / "p.mcap", spec, FlightPrediction(flight, tracks, np.zeros(1)))

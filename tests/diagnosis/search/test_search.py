@@ -21,10 +21,10 @@ from vpptwin.diagnosis.search.shortlist import Start, rank_trials
 from vpptwin.diagnosis.search.solution import solve_bounded, solve_hypothesis
 from vpptwin.diagnosis.search.suspects import Trial, Unknown
 from vpptwin.effects.friction import coulomb
-from vpptwin.effects.joint import Place, bias, spring
+from vpptwin.effects.joint import JointScale, bias, spring
 
 MEASURED = 200
-PLACE = Place("a", "on a", tolerance=0.3)
+PLACE = JointScale("a", "on a", tolerance=0.3)
 HELD = (
     Unknown(bias(PLACE), bias(PLACE).parameters[0], 0.2),
     Unknown(coulomb(PLACE), coulomb(PLACE).parameters[0], 0.9),

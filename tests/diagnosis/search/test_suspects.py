@@ -20,7 +20,7 @@ from vpptwin.diagnosis.search.solution import (
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import Effect
 from vpptwin.effects.friction import coulomb
-from vpptwin.effects.joint import Place, bias, spring, viscous
+from vpptwin.effects.joint import JointScale, bias, spring, viscous
 
 TOLERANCE = 0.02
 MEASURED = 300
@@ -34,10 +34,10 @@ def suspect(effect: Effect, *nominal: float) -> list[Unknown]:
 
 NOWHERE = np.zeros(1, bool), np.zeros(1, bool)
 UNKNOWNS = (
-    *suspect(coulomb(Place("a", "on a", tolerance=TOLERANCE)), 0.0),
-    *suspect(viscous(Place("b", "on b", tolerance=TOLERANCE)), 0.5),
-    *suspect(bias(Place("c", "on c", tolerance=TOLERANCE)), 0.0),
-    *suspect(spring(Place("d", "on d", tolerance=TOLERANCE)), 0.0, 0.3),
+    *suspect(coulomb(JointScale("a", "on a", tolerance=TOLERANCE)), 0.0),
+    *suspect(viscous(JointScale("b", "on b", tolerance=TOLERANCE)), 0.5),
+    *suspect(bias(JointScale("c", "on c", tolerance=TOLERANCE)), 0.0),
+    *suspect(spring(JointScale("d", "on d", tolerance=TOLERANCE)), 0.0, 0.3),
 )
 """Five parameters of four effects: bounds 0..2, 0..5, -2..2, 0..5, -2..2."""
 RANGES = np.array([0.9, 0.9, 0.6, 0.9, 0.6])

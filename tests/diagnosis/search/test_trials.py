@@ -23,7 +23,7 @@ from vpptwin.diagnosis.search.suspects import (
 )
 from vpptwin.effects import Effect, Parameter, Prior
 from vpptwin.effects.actuator import FORCE_LIMIT, attach
-from vpptwin.effects.joint import Place, bias, spring, viscous
+from vpptwin.effects.joint import JointScale, bias, spring, viscous
 from vpptwin.estimation.windows import WindowMotion
 from vpptwin.robots.planar_drone.effects.catalogue import RATE_LIMIT
 from vpptwin.twin.spec import load_twin
@@ -32,7 +32,7 @@ RATE = Unknown(RATE_LIMIT, RATE_LIMIT.parameters[0], 1000.0)
 """Off at 1000 rad/s; real servos have 4 to 20."""
 LEVEL = Parameter(name="level", unit="rad", off=10.0, low=0.05, high=10.0, prior=Prior("uniform", 0.1, 0.3), size=9.0)
 CLIP = Unknown(replace(RATE_LIMIT, id="servo.clip", parameters=(LEVEL,), follows="command"), LEVEL, 10.0)
-PLACE = Place("rail", "on a rail")
+PLACE = JointScale("rail", "on a rail")
 
 
 def command(values: np.ndarray, known: bool = True) -> Bench:

@@ -29,17 +29,17 @@ WIDTH = 110
 
 
 @dataclass(frozen=True, eq=False)
-class Place(Term):
+class StoragePlace(Term):
     """A number in memory that is read and written there, in the order of the program."""
 
 
-class Memory(list[Place]):
+class Memory(list[StoragePlace]):
     """The store of such an array."""
 
 
 def make_array(texts: Sequence[str] | str) -> Cells:
     """An array of numbers in memory, by the C expression of each; a number of one expression. `.` stands for `->`."""
-    store = Memory(Place(text, REAL) for text in ([texts] if isinstance(texts, str) else texts))
+    store = Memory(StoragePlace(text, REAL) for text in ([texts] if isinstance(texts, str) else texts))
     return Cells(store, np.array(0) if isinstance(texts, str) else np.arange(len(store)))
 
 
@@ -66,7 +66,7 @@ class CWriter(Writer):
 
     def load(self, value: Value) -> Value:
         """See `Arithmetic.load`."""
-        return self.copy_out(value.text) if isinstance(value, Place) else super().load(value)
+        return self.copy_out(value.text) if isinstance(value, StoragePlace) else super().load(value)
 
     def put(self, container: Any, key: Any, value: Value) -> None:  # noqa: ANN401
         """See `Paths.put`: what is in memory is written at once."""
@@ -81,7 +81,7 @@ class CWriter(Writer):
 
 
 @dataclass
-class Line:
+class CodeLine:
     """A line of traced text: `target` = `expression` where it assigns, else `head` with a condition, or a comment."""
 
     indent: int
@@ -90,27 +90,27 @@ class Line:
     expression: ast.expr | None
 
 
-def read_line(text: str) -> Line:
+def read_line(text: str) -> CodeLine:
     """A line as its parts."""
     bare = text.lstrip()
     indent = len(text) - len(bare)
     if bare.startswith("#") or bare in ("else:", "pass"):
-        return Line(indent, bare, "", None)
+        return CodeLine(indent, bare, "", None)
     if bare.startswith("if "):
-        return Line(indent, "if", "", ast.parse(bare[3:-1], mode="eval").body)
+        return CodeLine(indent, "if", "", ast.parse(bare[3:-1], mode="eval").body)
     target, _, rest = bare.partition(" = ")
     if bare.startswith("return "):
         target, rest = "return", bare[7:]
-    return Line(indent, "", target, ast.parse(rest, mode="eval").body)
+    return CodeLine(indent, "", target, ast.parse(rest, mode="eval").body)
 
 
-def inline_single(texts: Sequence[str]) -> list[Line]:
+def inline_single(texts: Sequence[str]) -> list[CodeLine]:
     """The lines, expressions with one use put where they are used, unless memory may have changed in between."""
     uses: Counter[str] = Counter()
     set_at: Counter[str] = Counter(m[1] for text in texts if (m := ASSIGNED.match(text)))
     for text in texts:
         uses.update(VARIABLE.findall(text[m.end() :] if (m := ASSIGNED.match(text)) else text))
-    lines: list[Line | None] = []
+    lines: list[CodeLine | None] = []
     born: dict[str, int] = {}  # where a variable is made that can move
     stored = -1  # where memory was written last
     for text in texts:
@@ -135,11 +135,11 @@ def inline_single(texts: Sequence[str]) -> list[Line]:
     return drop_headings([line for line in lines if line is not None])
 
 
-def drop_headings(lines: Sequence[Line]) -> list[Line]:
+def drop_headings(lines: Sequence[CodeLine]) -> list[CodeLine]:
     """The lines without comments that nothing follows, or that say again where one is."""
-    result: list[Line] = []
+    result: list[CodeLine] = []
     heading = ""
-    for line, after in zip(lines, [*lines[1:], Line(-1, "", "", None)]):
+    for line, after in zip(lines, [*lines[1:], CodeLine(-1, "", "", None)]):
         if line.head.startswith("#"):
             if line.head == heading or after.head.startswith("#") or after.indent < line.indent:
                 continue
@@ -171,7 +171,7 @@ def calls_out(node: ast.expr | None) -> bool:
     return any(name not in (*CALLS, "wp.where", "Real", "wp.int32", "bool") for name in calls)
 
 
-def print_blocks(lines: Sequence[Line]) -> list[str]:
+def print_blocks(lines: Sequence[CodeLine]) -> list[str]:
     """Lines as C: variables declared where they begin, braces in place of indentation."""
     count = Counter(line.target for line in lines if VARIABLE.fullmatch(line.target))
     declared: set[str] = set()

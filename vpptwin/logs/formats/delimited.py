@@ -54,7 +54,7 @@ def read_csv(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator
             if query.texts or kind != "text" or name in needed or NAMES.fullmatch(name)}  # fmt: skip
     wanted = [name for name in form.names if name in readable and (name in fields or name == clock)]
     times.unit = "ns" if is_date(form, clock) else None
-    cells, number = Cells(path, form, clock, needed, pa), 0
+    cells, number = CsvCells(path, form, clock, needed, pa), 0
     for batch in convert_batches(cells, wanted):
         columns = {name: read_column(cells, batch.column(name), name, number) for name in wanted}
         number += batch.num_rows
@@ -77,7 +77,7 @@ class CellError(Exception):
 
 
 @dataclass
-class Cells:
+class CsvCells:
     """How the cells of a CSV file are converted.
 
     Attributes:
@@ -126,7 +126,7 @@ class Cells:
         self.lost[name] = count + int(np.count_nonzero(wrong)), first
 
 
-def drop_blank(cells: Cells, columns: dict[str, np.ndarray], number: int) -> dict[str, np.ndarray]:
+def drop_blank(cells: CsvCells, columns: dict[str, np.ndarray], number: int) -> dict[str, np.ndarray]:
     """Columns without the rows that are empty; `number` rows came before."""
     path, clock, time = cells.path, cells.clock, columns[cells.clock]
     if time.dtype.kind not in "iuf" or time.ndim > 1:
@@ -151,7 +151,7 @@ def is_date(form: CsvForm, clock: str) -> bool:
     return place < len(form.first) and bool(DATE.fullmatch(form.first[place]))
 
 
-def convert_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBatch]:
+def convert_batches(cells: CsvCells, wanted: Sequence[str]) -> Iterator[pa.RecordBatch]:
     """The columns wanted as Arrow has them; from the start again where one turns out to be no plain number."""
     done, tries = 0, 0
     cells.loose |= cells.form.grouped
@@ -171,7 +171,7 @@ def convert_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBa
             cells.loose |= {error.name} if tries < _TRIES else set(wanted) - {cells.clock}
 
 
-def open_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBatch]:
+def open_batches(cells: CsvCells, wanted: Sequence[str]) -> Iterator[pa.RecordBatch]:
     """The columns wanted, from the start.
 
     Raises:
@@ -211,7 +211,7 @@ def open_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBatch
             raise blame_line(cells, {n: str(kind).partition("[")[0] for n, kind in types.items()}, error) from None
 
 
-def blame_line(cells: Cells, types: dict[str, str], error: Exception) -> Exception:
+def blame_line(cells: CsvCells, types: dict[str, str], error: Exception) -> Exception:
     """Which line it was that did not convert, of the columns with these types."""
     path, form = cells.path, cells.form
     kinds = [(place, name, types[name]) for place, name in enumerate(form.names) if types.get(name) in _FORMS]
@@ -229,7 +229,7 @@ def blame_line(cells: Cells, types: dict[str, str], error: Exception) -> Excepti
     return InputError(f"{path}: {error}", "a CSV file", "correct it")
 
 
-def read_column(cells: Cells, column: Any, name: str, number: int) -> np.ndarray:  # noqa: ANN401
+def read_column(cells: CsvCells, column: Any, name: str, number: int) -> np.ndarray:  # noqa: ANN401
     """A column of some rows: numbers (n,), lists (n, k) or text; `number` rows came before."""
     pa, place = cells.pa, cells.places[name]
     if pa.types.is_timestamp(column.type):
@@ -248,7 +248,7 @@ def read_column(cells: Cells, column: Any, name: str, number: int) -> np.ndarray
     return read_lists(cells, column, name, number)
 
 
-def read_numbers(cells: Cells, column: Any) -> tuple[np.ndarray, np.ndarray]:  # noqa: ANN401
+def read_numbers(cells: CsvCells, column: Any) -> tuple[np.ndarray, np.ndarray]:  # noqa: ANN401
     """Numbers of cells, whose thousands may be parted, (n,), and which cells hold something else, (n,) bool."""
     from pyarrow import compute
 
@@ -264,7 +264,7 @@ def read_numbers(cells: Cells, column: Any) -> tuple[np.ndarray, np.ndarray]:  #
     return values, np.asarray(wrong.to_numpy(zero_copy_only=False))
 
 
-def read_lists(cells: Cells, column: Any, name: str, number: int) -> np.ndarray:  # noqa: ANN401
+def read_lists(cells: CsvCells, column: Any, name: str, number: int) -> np.ndarray:  # noqa: ANN401
     """Lists of numbers in cells, (n, k), NaN where a cell holds another number of them, or none."""
     from pyarrow import compute
 

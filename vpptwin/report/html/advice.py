@@ -26,7 +26,7 @@ SHORTER = "give a part of the log (LOG@0-10), put joints under `driven` in the t
 
 
 @dataclass(frozen=True)
-class Step:
+class NextStep:
     """A thing to do: in words, a command that does it, and a file to begin with; "" for none."""
 
     text: str
@@ -53,7 +53,9 @@ class Session:
         return str((self.out or UNSAVED) / "twin.yaml")
 
 
-def list_steps(verdict: Verdict, session: Session, experiment: str | None, meanings: Mapping[str, str]) -> list[Step]:
+def list_steps(
+    verdict: Verdict, session: Session, experiment: str | None, meanings: Mapping[str, str]
+) -> list[NextStep]:
     """What to do next, in order.
 
     Args:
@@ -63,24 +65,26 @@ def list_steps(verdict: Verdict, session: Session, experiment: str | None, meani
         meanings: effect id → summary of the catalogue.
     """
     twin = session.extended if verdict.causes else session.spec.name
-    steps = [Step("Save the results, in Python.", f'result.save("{UNSAVED}")')] if session.out is None else []
+    steps = [NextStep("Save the results, in Python.", f'result.save("{UNSAVED}")')] if session.out is None else []
     if verdict.stopped is not None:
-        steps.append(Step(f"Diagnose again with more time, or make it shorter: {SHORTER}."))
+        steps.append(NextStep(f"Diagnose again with more time, or make it shorter: {SHORTER}."))
     if verdict.causes:
         told = "Compare both twins. Best on a log that was not diagnosed: put its name in the place of these."
         steps.append(
-            Step(told, session.type("compare", *session.logs, "--twin", session.spec.name, "--twin", session.extended))
+            NextStep(
+                told, session.type("compare", *session.logs, "--twin", session.spec.name, "--twin", session.extended)
+            )
         )
     beside = "extended twin" if verdict.causes else "twin"
-    steps.append(Step(f"Watch the {beside} beside a log.", session.type("play", session.logs[0], "--twin", twin)))
+    steps.append(NextStep(f"Watch the {beside} beside a log.", session.type("play", session.logs[0], "--twin", twin)))
     if is_unexplained(verdict):
         steps.append(suggest_own_effect(verdict, session))
     else:
         steps += suggest_training(session.spec.robot, twin, bool(verdict.causes))
     if experiment is not None and verdict.experiment is not None:
-        steps.append(Step(f"Fly next: {experiment} See it in the twin first.", verdict.experiment.command))
+        steps.append(NextStep(f"Fly next: {experiment} See it in the twin first.", verdict.experiment.command))
     else:
-        steps.append(Step(f"{advise_flight(verdict, meanings)} {advise_library(session.spec.robot)}".rstrip()))
+        steps.append(NextStep(f"{advise_flight(verdict, meanings)} {advise_library(session.spec.robot)}".rstrip()))
     return steps
 
 
@@ -111,12 +115,12 @@ def advise_library(robot: Robot) -> str:
 
 
 @by_robot
-def suggest_training(robot: Robot, twin: str, extended: bool) -> list[Step]:
+def suggest_training(robot: Robot, twin: str, extended: bool) -> list[NextStep]:
     """How to train on the twin: our tasks are for the drone."""
     return []
 
 
-def suggest_own_effect(verdict: Verdict, session: Session) -> Step:
+def suggest_own_effect(verdict: Verdict, session: Session) -> NextStep:
     """A file with an effect of one's own on the joint that is accused, and how to try it."""
     left = verdict.unexplained
     follows = f", which follows {join_words(left.depends_on)}" if left.depends_on else ""
@@ -124,7 +128,7 @@ def suggest_own_effect(verdict: Verdict, session: Session) -> Step:
         f"Write an effect for what is left{follows}: save these lines as own.py, put your law in, and diagnose again."
     )
     words = [*session.logs, "--twin", session.spec.name, "--effects", "own.py", "--out", str(session.out or UNSAVED)]
-    return Step(told, session.type("diagnose", *words), write_own_effect(verdict, session.spec.robot))
+    return NextStep(told, session.type("diagnose", *words), write_own_effect(verdict, session.spec.robot))
 
 
 def write_own_effect(verdict: Verdict, robot: Robot) -> str:

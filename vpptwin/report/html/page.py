@@ -9,7 +9,7 @@ from functools import partial
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from vpptwin.diagnosis.judgement.verdict import Verdict
-from vpptwin.report.html.advice import Step
+from vpptwin.report.html.advice import NextStep
 from vpptwin.report.html.pictures import Pictures
 from vpptwin.report.html.ranking import Suspect
 from vpptwin.report.provenance import Provenance
@@ -21,7 +21,7 @@ FIRST_SUSPECTS = 10
 
 
 def render_report(
-    verdict: Verdict, summary: Summary, steps: Sequence[Step], files: Sequence[str], ranking: Sequence[Suspect],
+    verdict: Verdict, summary: Summary, steps: Sequence[NextStep], files: Sequence[str], ranking: Sequence[Suspect],
     pictures: Pictures, preflight: Sequence[str], origin: Provenance, meanings: Mapping[str, str],
 ) -> str:  # fmt: skip
     """The report of a diagnosis as one HTML page.

@@ -17,7 +17,7 @@ from vpptwin.effects import find_effect
 from vpptwin.report.error_table import is_changed
 from vpptwin.report.html.fingerprints import draw_fingerprints
 from vpptwin.report.output import Pieces
-from vpptwin.report.prediction import FlightPrediction, Track
+from vpptwin.report.prediction import FlightPrediction, PredictedSeries
 from vpptwin.report.words import join_words
 from vpptwin.twin.sensors import PERFECT
 from vpptwin.viz.plots import plots
@@ -52,7 +52,7 @@ def draw_pictures(
     shown, plot = predictions[int(bench.windows.flight[-1])], diagnosis.leftover_plot
     accused = [find_effect(bench.spec.catalogue, cause.effect) for cause in verdict.causes]
     lit = f", lit: {join_words([effect.summary for effect in accused])}" if accused else ""
-    errors, flight, none = list_errors(verdict), list[Track](), list[str]()
+    errors, flight, none = list_errors(verdict), list[PredictedSeries](), list[str]()
     if shown is not None:
         flight = draw("pictures of log and twin", partial(cut_flight, shown), flight)
     same = {quantity for quantity, (_, before, after) in errors.items() if not is_changed(before, after)}
@@ -98,7 +98,7 @@ def draw_error(
     return [plots.error_by_horizon(HORIZONS_S, before, shown, floor, interval, label, noise.label)]
 
 
-def is_told_apart(track: Track) -> bool:
+def is_told_apart(track: PredictedSeries) -> bool:
     """Whether both twins' residuals would be seen to differ; one twin has nothing to be told from."""
     first, last = track.residual[0], track.residual[-1]
     return len(track.predicted) == 1 or float(np.std(last - first)) > VISIBLE * float(np.std(first))
@@ -118,7 +118,7 @@ def draw_wrench(plot: WrenchPlot, subject: str, titles: tuple[str, str] = ("befo
     return plots.residual_against(plot.quantity, plot.before, plot.after, plot.x_label, plot.y_label, subject, titles)
 
 
-def cut_flight(prediction: FlightPrediction) -> list[Track]:
+def cut_flight(prediction: FlightPrediction) -> list[PredictedSeries]:
     """A stretch from the middle of a flight, every measured quantity where all twins were simulated."""
     tracks = [track for track in prediction.tracks if np.count_nonzero(track.known) > 1]
     if not tracks:
@@ -130,7 +130,7 @@ def cut_flight(prediction: FlightPrediction) -> list[Track]:
     return [track for track in cut if len(track.time) > 1]
 
 
-def draw_track(track: Track, restarts: np.ndarray, same: bool) -> list[str]:
+def draw_track(track: PredictedSeries, restarts: np.ndarray, same: bool) -> list[str]:
     """Log with twin, and residual, of one quantity; both twins where they differ."""
     time, after = track.time, len(track.predicted) > 1 and not same
     cuts = restarts[(restarts >= time[0]) & (restarts <= time[-1])].tolist()

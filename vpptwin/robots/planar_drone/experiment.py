@@ -39,7 +39,7 @@ GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 
 @dataclass(frozen=True)
-class Candidate:
+class FlownManoeuvre:
     """A manoeuvre that is safe whichever hypothesis is true, flown in the twin of the first."""
 
     manoeuvre: Manoeuvre
@@ -119,7 +119,7 @@ def compose_command(manoeuvre: Manoeuvre, spec: TwinSpec) -> str:
     )
 
 
-def fly_library(spec: TwinSpec, hypotheses: Sequence[Hypothesis]) -> list[Candidate]:
+def fly_library(spec: TwinSpec, hypotheses: Sequence[Hypothesis]) -> list[FlownManoeuvre]:
     """Fly every manoeuvre under every hypothesis, side by side; keep those that are safe under all of them."""
     library, references = list_references(spec.vehicle)
     count = len(references)
@@ -133,7 +133,7 @@ def fly_library(spec: TwinSpec, hypotheses: Sequence[Hypothesis]) -> list[Candid
     lead = tracks.lead[0]
     dangers = [find_danger(spec.vehicle, p[lead:], v[lead:]) for p, v in zip(tracks.pose, tracks.velocity)]
     return [
-        Candidate(manoeuvre, Flight(Path(manoeuvre.name), 0, record_streams(tracks, i), {}))
+        FlownManoeuvre(manoeuvre, Flight(Path(manoeuvre.name), 0, record_streams(tracks, i), {}))
         for i, manoeuvre in enumerate(library)
         if not any(dangers[i::count])
     ]
@@ -149,7 +149,7 @@ def list_references(vehicle: Vehicle) -> tuple[list[Manoeuvre], list[Reference]]
     return library, references
 
 
-def observe_candidates(spec: TwinSpec, candidates: Sequence[Candidate], criteria: Criteria = CRITERIA) -> Bench:
+def observe_candidates(spec: TwinSpec, candidates: Sequence[FlownManoeuvre], criteria: Criteria = CRITERIA) -> Bench:
     """Windows of every candidate's flight; `windows.flight` tells whose."""
     measurements = [read_measurements(spec, candidate.flight) for candidate in candidates]
     length = spec.robot.window

@@ -6,12 +6,12 @@ import shlex
 from collections.abc import Sequence
 
 from vpptwin.report.export import POSE_COLUMNS, Topic, group_messages
-from vpptwin.report.html.advice import Step
-from vpptwin.report.prediction import Track
+from vpptwin.report.html.advice import NextStep
+from vpptwin.report.prediction import PredictedSeries
 from vpptwin.robots.planar_drone.craft import PlanarDrone
 
 
-def list_drone(robot: PlanarDrone, twin: str, tracks: Sequence[Track], i: int) -> list[Topic]:
+def list_drone(robot: PlanarDrone, twin: str, tracks: Sequence[PredictedSeries], i: int) -> list[Topic]:
     """Pose and gyro of our drone as one twin gives them."""
     poses, topics = [track for track in tracks if track.kind == "position"], []
     for time, rows in group_messages(poses):
@@ -29,7 +29,7 @@ def advise_drone(robot: PlanarDrone) -> str:
     return "Manoeuvres: vpptwin fly --list"
 
 
-def suggest_flip(robot: PlanarDrone, twin: str, extended: bool) -> list[Step]:
+def suggest_flip(robot: PlanarDrone, twin: str, extended: bool) -> list[NextStep]:
     """The flip."""
     told = "Train a policy on it, for a rig that is as the logs say." if extended else "Train a policy on it as it is."
-    return [Step(told, shlex.join(["vpptwin", "train", "task=flip", f"twin={twin}", "out=runs/flip_extended"]))]
+    return [NextStep(told, shlex.join(["vpptwin", "train", "task=flip", f"twin={twin}", "out=runs/flip_extended"]))]

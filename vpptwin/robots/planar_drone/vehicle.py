@@ -43,7 +43,7 @@ class Airframe(Section):
     inertia: Positive
 
 
-class Rig(Section):
+class RailRig(Section):
     """The slide rail: masses [kg], rail_height, bearing_spacing and travel [m]."""
 
     carriage_mass: NonNegative
@@ -155,7 +155,7 @@ class Vehicle(Section):
 
     gravity: Positive
     airframe: Airframe
-    rig: Rig
+    rig: RailRig
     rotor: Propeller
     motor: Motor
     servo: Servo

@@ -91,7 +91,7 @@ def near(inputs: RewardInputs, weights: RewardWeights) -> Array:
 
 
 @dataclass(frozen=True)
-class Term:
+class RewardTerm:
     """One summand of the reward."""
 
     compute: Callable[[RewardInputs, RewardWeights], Array]
@@ -100,12 +100,12 @@ class Term:
 
 
 REWARD_TERMS = {
-    "position": Term(position, judged=(BOTH, POSITION)),
-    "integral": Term(integral, judged=(BOTH, POSITION)),
-    "velocity": Term(velocity, "r_p", (BOTH, POSITION)),
-    "rate": Term(rate, "r_p"),
-    "orientation": Term(orientation, "r_o", (BOTH, ANGLE)),
-    "near": Term(near, "r_o", (BOTH, POSITION)),
+    "position": RewardTerm(position, judged=(BOTH, POSITION)),
+    "integral": RewardTerm(integral, judged=(BOTH, POSITION)),
+    "velocity": RewardTerm(velocity, "r_p", (BOTH, POSITION)),
+    "rate": RewardTerm(rate, "r_p"),
+    "orientation": RewardTerm(orientation, "r_o", (BOTH, ANGLE)),
+    "near": RewardTerm(near, "r_o", (BOTH, POSITION)),
 }
 """Every term by the name of its weight."""
 

@@ -39,7 +39,7 @@ Positions = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class SampledMotion:
     """Joint positions (T, nq) [m, rad] at the frames, and where they are known, (T,)."""
 
     qpos: np.ndarray
@@ -90,8 +90,8 @@ class Show:
     model: mujoco.MjModel  # the rig
     followed: int  # index of the body that the view and a trail follow; -1 for none
     frames: np.ndarray  # (T,) frame times [s of the log]
-    log: Trajectory  # the log's at the frames
-    twin: Trajectory | None  # the prediction's at the frames
+    log: SampledMotion  # the log's at the frames
+    twin: SampledMotion | None  # the prediction's at the frames
     overlay: Overlay = BARE  # what the robot adds
 
     @property
@@ -123,7 +123,7 @@ def prepare_show(flight: Flight, prediction: Prediction | None, spec: TwinSpec) 
     for address, (time, position) in positions.items():
         qpos[:, address] = np.interp(frames, time, position)
     twin = None if prediction is None else sample_prediction(prediction, frames)
-    show = Show(model, followed, frames, Trajectory(qpos, np.ones(len(frames), dtype=bool)), twin)
+    show = Show(model, followed, frames, SampledMotion(qpos, np.ones(len(frames), dtype=bool)), twin)
     return replace(show, overlay=make_overlay(spec.robot, show, flight, prediction))
 
 
@@ -180,7 +180,7 @@ def count_frames(model: mujoco.MjModel, copies: int) -> int:
     return max(MAX_PAGE_NUMBERS // (copies * (NUMBERS_OF_BODY * bodies + NUMBERS_OF_OVERLAY)), 2)
 
 
-def sample_prediction(prediction: Prediction, at: np.ndarray) -> Trajectory:
+def sample_prediction(prediction: Prediction, at: np.ndarray) -> SampledMotion:
     """The twin at the frame times; hidden where the prediction has no finite sample nearby."""
     known = np.isfinite(prediction.qpos).all(axis=1)
     if not known.any():
@@ -188,7 +188,7 @@ def sample_prediction(prediction: Prediction, at: np.ndarray) -> Trajectory:
     time, qpos = prediction.time[known], prediction.qpos[known]
     after = np.clip(np.searchsorted(time, at), 1, max(len(time) - 1, 1))
     nearest = np.minimum(np.abs(at - time[after - 1]), np.abs(at - time[np.minimum(after, len(time) - 1)]))
-    return Trajectory(interpolate(at, time, qpos), nearest <= LONGEST_GAP)
+    return SampledMotion(interpolate(at, time, qpos), nearest <= LONGEST_GAP)
 
 
 def view_show(show: Show, **options: float) -> CameraView:

@@ -23,7 +23,7 @@ from vpptwin.viz.scene.geoms import (
     read_paint,
 )
 from vpptwin.viz.scene.meshes import make_geom, make_material, make_ribbon
-from vpptwin.viz.scene.show import Show, Trajectory, view_show
+from vpptwin.viz.scene.show import SampledMotion, Show, view_show
 from vpptwin.viz.scene.tracks import KeyframeTrack, make_track
 
 TRAIL_WIDTH = 0.012  # m
@@ -95,7 +95,7 @@ def make_matrix(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
 
 
 def draw_trajectory(
-    vis: Visualizer, show: Show, name: str, trajectory: Trajectory, paint: Paint | None = None
+    vis: Visualizer, show: Show, name: str, trajectory: SampledMotion, paint: Paint | None = None
 ) -> list[KeyframeTrack]:
     """Draw the rig as it moves, in the MJCF's colours or in one paint, and what the robot adds to it."""
     path, model, time = f"{ROOT}/{name}", show.model, show.time

@@ -10,7 +10,7 @@ from vpptwin.effects.body import add_mass, move_centre
 from vpptwin.effects.constants import Change, add, limit, multiply, take
 from vpptwin.effects.contact import effects_for_contacts
 from vpptwin.effects.friction import apply_load
-from vpptwin.effects.joint import JOINT_SHOWS, Place
+from vpptwin.effects.joint import JOINT_SHOWS, JointScale
 from vpptwin.effects.parameter import Parameter, Prior
 from vpptwin.robots.planar_drone.effects import laws
 
@@ -21,14 +21,14 @@ TURN_SHOWS = ("/imu/data", "/mocap/pose")
 """Of what shows in how the craft turns first."""
 RIG = ("carriage", "slider")
 """Bodies without which nothing cocks."""
-RAIL = Place("rail_x", "on the horizontal rail", reason="the craft weighs 4.4 N")
-RAIL_SPOT = Place(
+RAIL = JointScale("rail_x", "on the horizontal rail", reason="the craft weighs 4.4 N")
+RAIL_SPOT = JointScale(
     "rail_x", "on the horizontal rail", tolerance=0.02, size=0.2, travel=1.0, reason="a knock in the rail"
 )
-GUIDE = Place("rail_z", "on the vertical guide", reason="the craft weighs 4.4 N")
-PIVOT_FRICTION = Place("pitch", "in the pivot", rotary=True, scale=0.1, reason="0.5 N at a rotor")
-PIVOT_DAMPING = Place("pitch", "in the pivot", rotary=True, scale=0.03, reason="0.36 N m at 12 rad/s")
-PIVOT_TORQUE = Place("pitch", "in the pivot", rotary=True, scale=0.25, reason="1.25 N at a rotor")
+GUIDE = JointScale("rail_z", "on the vertical guide", reason="the craft weighs 4.4 N")
+PIVOT_FRICTION = JointScale("pitch", "in the pivot", rotary=True, scale=0.1, reason="0.5 N at a rotor")
+PIVOT_DAMPING = JointScale("pitch", "in the pivot", rotary=True, scale=0.03, reason="0.36 N m at 12 rad/s")
+PIVOT_TORQUE = JointScale("pitch", "in the pivot", rotary=True, scale=0.25, reason="1.25 N at a rotor")
 
 JAMMING_X = Effect(
     "rail_x.jamming", "a carriage that jams on the horizontal rail under load",

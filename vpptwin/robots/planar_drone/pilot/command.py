@@ -14,7 +14,7 @@ from vpptwin.actuators.adaptive import DRAG, FAULT, FAULTS, HALF_GAP, TRIM
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.write import Message, write_flight
 from vpptwin.robots.planar_drone.pilot.flight import SETTLING, Pilot, SimulatedFlights, fly
-from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, Gusts
+from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, GustProcess
 from vpptwin.robots.planar_drone.pilot.library import LIBRARY
 from vpptwin.robots.planar_drone.pilot.recording import record_streams
 from vpptwin.robots.planar_drone.pilot.safety import find_danger
@@ -56,7 +56,7 @@ def fly_log(pilot: Pilot, sortie: Sortie) -> SimulatedFlights:
     """
     spec, vehicle = sortie.spec, sortie.spec.vehicle
     period = 1.0 / vehicle.control.policy_rate
-    gusts = Gusts(spec, 1, pilot.ticks + round(SETTLING / period), sortie.seed) if sortie.gusts else None
+    gusts = GustProcess(spec, 1, pilot.ticks + round(SETTLING / period), sortie.seed) if sortie.gusts else None
     twin = Twin(spec, 1, active=CARRIERS if gusts is not None else (), num_threads=1)
     tracks = fly(twin, pilot, sortie.seed, gusts)
     if np.isfinite(tracks.diverged[0]):

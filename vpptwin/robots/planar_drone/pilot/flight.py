@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from vpptwin.robots.planar_drone.kalman import FilterNoise, KalmanFilter
-from vpptwin.robots.planar_drone.pilot.gusts import Gusts
+from vpptwin.robots.planar_drone.pilot.gusts import GustProcess
 from vpptwin.twin import Twin
 from vpptwin.twin.health import find_diverged
 from vpptwin.twin.sensors import body_force, measure_rate, read_sensors, sensor_noise
@@ -87,7 +87,11 @@ def make_tracks(twin: Twin, pilot: Pilot, seed: int, settling: float) -> Simulat
 
 
 def fly(
-    twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None, start: tuple[np.ndarray, np.ndarray] | None = None
+    twin: Twin,
+    pilot: Pilot,
+    seed: int,
+    gusts: GustProcess | None = None,
+    start: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> SimulatedFlights:
     """Fly from rest at the first target, settling first, or at once from given states.
 

@@ -14,7 +14,7 @@ CARRIERS = ("rail_x.bias", "rail_z.bias", "pitch.bias")
 """The constant forces that gusts are added to, along x, z and θ."""
 
 
-class Gusts:
+class GustProcess:
     """Forces and a moment on N crafts, drawn ahead: an Ornstein-Uhlenbeck process.
 
     Args:

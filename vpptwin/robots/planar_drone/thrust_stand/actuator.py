@@ -48,7 +48,7 @@ class Constant:
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutError:
     """How well a part of the model predicts what it was not fitted to."""
 
     what: str  # quantity
@@ -64,7 +64,7 @@ class Actuator:
     thrust: ThrustMap  # the chosen map
     maps: tuple[ThrustMap, ...]  # all that were tried
     constants: tuple[Constant, ...]  # of motor, drag, servo
-    held_out: tuple[HeldOut, ...]  # errors on what was left out
+    held_out: tuple[HeldOutError, ...]  # errors on what was left out
     levels: Levels  # the means that static fits rest on
 
     def constant(self, name: str) -> Constant:
@@ -82,7 +82,7 @@ def identify(runs: Sequence[BenchRun], levels: Levels) -> Actuator:
     servo, servo_error = fit_servo(runs, chosen)
     k_q, drag = load[0].value, {c.name: c.value for c in load}
     inertia = fit_inertia(runs, chosen, servo, k_q, drag)
-    thrust_error = HeldOut("thrust at pitches left out", chosen.held_out, float(np.std(levels.thrust)), "N")
+    thrust_error = HeldOutError("thrust at pitches left out", chosen.held_out, float(np.std(levels.thrust)), "N")
     constants = (*electrical, *load, inertia, *servo)
     errors = (thrust_error, motor_error, current_error, servo_error)
     return Actuator(chosen, maps, constants, errors, levels)
@@ -97,7 +97,7 @@ def leave_groups_out(inputs: np.ndarray, wanted: np.ndarray, group: np.ndarray) 
     return float(np.sqrt((missed**2).mean()))
 
 
-def fit_motor(levels: Levels) -> tuple[tuple[Constant, ...], HeldOut]:
+def fit_motor(levels: Levels) -> tuple[tuple[Constant, ...], HeldOutError]:
     """k_v and resistance from throttle · battery = R i + ω/k_V (paper Eq. 7)."""
     rotors = levels.speed.shape[1]
     voltage = (levels.throttle * levels.voltage[:, None]).ravel()
@@ -114,10 +114,10 @@ def fit_motor(levels: Levels) -> tuple[tuple[Constant, ...], HeldOut]:
         Constant("motor.k_v", 1.0 / found[1], std[1] / found[1] ** 2, "rad/s/V"),
         Constant("motor.resistance", found[0], std[0], "ohm"),
     )
-    return constants, HeldOut("motor voltage at pitches left out", error, float(np.std(voltage)), "V")
+    return constants, HeldOutError("motor voltage at pitches left out", error, float(np.std(voltage)), "V")
 
 
-def fit_load(levels: Levels, thrust: ThrustMap, k_v: Constant) -> tuple[tuple[Constant, ...], HeldOut]:
+def fit_load(levels: Levels, thrust: ThrustMap, k_v: Constant) -> tuple[tuple[Constant, ...], HeldOutError]:
     """k_q, no-load current and drag (paper Eq. 5 to 7): i = i_0 + k_q D, D = k_D1 ω² + k_D2 ω² α² + k_D3 ω |α|.
 
     What speed still changes by in a stretch takes torque too, I ω̇. With a torque channel that sum is measured. Current
@@ -132,14 +132,14 @@ def fit_load(levels: Levels, thrust: ThrustMap, k_v: Constant) -> tuple[tuple[Co
         )
         drag, drag_std = solve_linear(terms.sum(axis=1), torque)
         error, scale = leave_groups_out(terms.sum(axis=1), torque, levels.group), float(np.std(torque))
-        held_out, note = HeldOut("drag torque at pitches left out", error, scale, "N m"), "from the torque channel"
+        held_out, note = HeldOutError("drag torque at pitches left out", error, scale, "N m"), "from the torque channel"
     else:
         inputs = np.column_stack([np.ones(speed.size), terms.reshape(-1, 4)])
         found, std = solve_linear(inputs, current.ravel())
         k_q, k_q_std, none, none_std = k_v.value, k_v.std, found[0], std[0]
         drag, drag_std = found[1:] / k_q, np.hypot(std[1:], found[1:] * k_q_std / k_q) / k_q
         error = leave_groups_out(inputs, current.ravel(), np.repeat(levels.group, speed.shape[1]))
-        held_out = HeldOut("current at pitches left out", error, float(np.std(current)), "A")
+        held_out = HeldOutError("current at pitches left out", error, float(np.std(current)), "A")
         note = "as of an ideal motor, k_q = k_v: the stand has no torque channel"
     units = {"k_d1": "N m s^2", "k_d2": "N m s^2/rad^2", "k_d3": "N m s/rad"}
     return (
@@ -166,7 +166,7 @@ def find_steps(run: BenchRun) -> np.ndarray:
     return np.array([j for j in jumps if j + length < len(run.pitch) and j > length], dtype=int)
 
 
-def fit_servo(runs: Sequence[BenchRun], thrust: ThrustMap) -> tuple[tuple[Constant, ...], HeldOut]:
+def fit_servo(runs: Sequence[BenchRun], thrust: ThrustMap) -> tuple[tuple[Constant, ...], HeldOutError]:
     """Time constant and delay of the servo from what thrust does after steps of pitch."""
     places = [(run, find_steps(run)) for run in runs]
     count = sum(len(steps) for _, steps in places)
@@ -213,7 +213,7 @@ def fit_servo(runs: Sequence[BenchRun], thrust: ThrustMap) -> tuple[tuple[Consta
         Constant("servo.delay", float(found[1]), float(std[1]), "s"),
     )
     spread = float(np.std(np.concatenate([run.thrust for run in runs])))
-    return constants, HeldOut("thrust after steps left out", float(np.sqrt((other**2).mean())), spread, "N")
+    return constants, HeldOutError("thrust after steps left out", float(np.sqrt((other**2).mean())), spread, "N")
 
 
 def fit_inertia(

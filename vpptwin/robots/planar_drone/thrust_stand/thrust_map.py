@@ -34,7 +34,7 @@ def inflow(pitch: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ThrustMapForm:
     """A form that a thrust map may have."""
 
     name: str  # for people
@@ -43,8 +43,8 @@ class Candidate:
     power: int  # n of T ∝ ω^n
 
 
-CANDIDATES: tuple[Candidate, ...] = tuple(
-    Candidate(f"{name}, T ∝ {'ω²' if power == 2 else 'ω'}", shape, start, power)
+CANDIDATES: tuple[ThrustMapForm, ...] = tuple(
+    ThrustMapForm(f"{name}, T ∝ {'ω²' if power == 2 else 'ω'}", shape, start, power)
     for power in (1, 2)
     for name, shape, start in (
         ("linear", bend(1), (1.0,)),
@@ -59,7 +59,7 @@ CANDIDATES: tuple[Candidate, ...] = tuple(
 class ThrustMap:
     """A fitted map."""
 
-    candidate: Candidate  # its form
+    candidate: ThrustMapForm  # its form
     values: np.ndarray  # coefficients, (k,), N s/rad and up
     std: np.ndarray  # their standard deviations, (k,)
     offset: float  # pitch at which there is no thrust, rad
@@ -75,14 +75,14 @@ class ThrustMap:
 
 
 def predict_thrust(
-    candidate: Candidate, values: np.ndarray, offset: float, reference: float, speed: np.ndarray, pitch: np.ndarray
+    candidate: ThrustMapForm, values: np.ndarray, offset: float, reference: float, speed: np.ndarray, pitch: np.ndarray
 ) -> np.ndarray:
     """Thrust of each rotor [N]."""
     return speed * (speed / reference) ** (candidate.power - 1) * candidate.shape(pitch - offset, values)
 
 
 def fit_map(
-    candidate: Candidate, speed: np.ndarray, pitch: np.ndarray, thrust: np.ndarray, group: np.ndarray,
+    candidate: ThrustMapForm, speed: np.ndarray, pitch: np.ndarray, thrust: np.ndarray, group: np.ndarray,
     shifted: bool = True,
 ) -> ThrustMap:  # fmt: skip
     """Fit a form by least squares; its held-out error leaves out one pitch after the other.
