@@ -291,10 +291,7 @@ def draw_set(rng: np.random.Generator, folder: Path) -> Path:
         info["total_episodes"] = (3 * 10**6, 10**18, 0, -1, True, "2", 2.0, None, [2])[rng.integers(9)]
     if rng.random() < 0.4:
         info = spoil_plain(rng, info)
-    try:
-        text = json.dumps(info)
-    except RecursionError:
-        text = "[" * 3000
+    text = write_plain(json.dumps, info)
     if rng.random() < 0.1:
         text = ("[" * 100_000, '{"features": ' * 100_000, "[]", "nul", '{"total_episodes": ' + "9" * 5000)[
             rng.integers(5)
@@ -304,6 +301,14 @@ def draw_set(rng: np.random.Generator, folder: Path) -> Path:
     if rng.random() < 0.25:
         spoil_file(rng, files[rng.integers(len(files))])
     return path
+
+
+def write_plain(dump: Callable[[Any], str], content: Any) -> str:  # noqa: ANN401
+    """Plain data as text; what is nested too deeply to be written is brackets."""
+    try:
+        return dump(content)
+    except RecursionError:
+        return "[" * 3000
 
 
 def draw_bag(rng: np.random.Generator, folder: Path) -> Path:
@@ -320,10 +325,7 @@ def draw_bag(rng: np.random.Generator, folder: Path) -> Path:
     about: Any = {"rosbag2_bagfile_information": {"version": 5, "relative_file_paths": names, "files": []}}
     if rng.random() < 0.3:
         about = spoil_plain(rng, about)
-    try:
-        text = yaml.safe_dump(about)
-    except RecursionError:
-        text = "[" * 3000
+    text = write_plain(yaml.safe_dump, about)
     (path / "metadata.yaml").write_text(spoil_text(rng, text) if rng.random() < 0.2 else text)
     if rng.random() < 0.25:
         spoil_file(rng, path / ("bag_0.mcap", "metadata.yaml")[rng.integers(2)])

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from proving.fuzzers import DRAW
-from tests.conftest import SEED
 from tests.measured import read_peak
 from vpptwin.logs import read_flight
 from vpptwin.logs.spelling import list_flights
@@ -22,8 +21,8 @@ from vpptwin.train.evaluate.evaluate import Conditions, evaluate
 from vpptwin.train.learn.checkpoint import build_policy, read_checkpoint
 from vpptwin.twin import Twin, load_twin
 
-ROUNDS = 20 if os.environ["VPPTWIN_SEED"] == SEED else 40
-"""Of every seed; as many again where it is another one every time."""
+ROUNDS = 40
+"""Of every seed."""
 
 
 def fly_twin(path: Path) -> None:
@@ -77,7 +76,7 @@ def use(kind: str, path: Path) -> str:
 def test_spoilt_files_are_refused_or_work(
     kind: str, seed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Twenty of each kind from the seed of this run; those of another one are `slow`."""
+    """Forty of each kind from the seed of this run; those of another one are `slow`."""
     monkeypatch.chdir(tmp_path)
     lines = []
     for number in range(ROUNDS):

@@ -13,29 +13,26 @@ import pytest
 from proving.drone import CORE, EFFECTS, EXTENDED, Recording, fly, fly_many
 from proving.drone.effects import COMPANIONS, FRAME, Effects
 from proving.drone.rig import load_nominal
-from vpptwin.effects import CATALOGUE
+from tests.effects.test_metadata import AGREED_EFFECTS
 
 NOMINAL = load_nominal()
 CALM = {"gusts": False, "jitter": False, "dropouts": False}
 
 
-DRAWN = CORE | EXTENDED | COMPANIONS
+def test_effects_are_those_agreed_on() -> None:
+    """Ids and parameters are those that other tools depend on; aliens, other forms and the frame lie outside."""
+    ours = {effect: list(sizes) for effect, sizes in (CORE | EXTENDED | COMPANIONS).items()}
+    assert ours == {effect: list(units) for effect, units in AGREED_EFFECTS.items()}
+    outside = set(EFFECTS) - set(AGREED_EFFECTS) - set(FRAME)
+    assert all(effect.startswith(("alien.", "form.")) for effect in outside)
 
 
-def test_effects_are_those_of_the_catalogue() -> None:
-    """Ids and parameters, every one but bristles and the frame; aliens and other forms lie outside."""
-    known = {effect.id: [parameter.name for parameter in effect.parameters] for effect in CATALOGUE}
-    ours = {effect: list(sizes) for effect, sizes in DRAWN.items()}
-    assert ours == {e: names for e, names in known.items() if e not in FRAME and not e.endswith(".lugre")}
-    assert all(effect.startswith(("alien.", "form.")) for effect in set(EFFECTS) - set(known))
-
-
-@pytest.mark.parametrize("effect", DRAWN)
+@pytest.mark.parametrize("effect", AGREED_EFFECTS)
 def test_sizes_to_draw_are_apart_from_off(effect: str) -> None:
     """What is drawn is never the off value, whatever the sign, so a hidden effect is really there."""
-    for size in DRAWN[effect].values():
+    for size in (EFFECTS | COMPANIONS)[effect].values():
         assert all(low < high for low, high in size.spans)
-    first = next(iter(DRAWN[effect].values()))
+    first = next(iter((EFFECTS | COMPANIONS)[effect].values()))
     assert all(not low <= first.off <= high for low, high in first.spans)
 
 

@@ -21,6 +21,8 @@ STAGES = {
     "logs": "reading logs",
     "estimation": "measurements, starting states, windows",
     **dict.fromkeys(("twin", "engine", "effects", "actuators"), ENGINE),
+    "robots/planar_drone/effects": ENGINE,
+    "robots": "measurements, starting states, windows",
     "diagnosis/evidence": SENSORS,
     "diagnosis/search": FITS,
     "diagnosis/judgement": JUDGING,

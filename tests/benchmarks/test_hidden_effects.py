@@ -318,6 +318,14 @@ def test_confusion_counts_families() -> None:
     assert {pictures.family(effect) for effect in draw.FLYING} == set(pictures.FAMILIES)
 
 
+def test_pictures_are_drawn(tmp_path: Path) -> None:
+    """Two files, not empty, the same for the same data."""
+    cases = [session(0, "single", {"rail_x.coulomb": {"force": 0.3}}, finding(cause("rail_x.coulomb")))]
+    first = [path.read_bytes() for path in pictures.draw_pictures(cases, tmp_path)]
+    assert [path.read_bytes() for path in pictures.draw_pictures(cases, tmp_path)] == first
+    assert all(b"<svg" in content for content in first)
+
+
 def test_costs_go_to_whoever_called() -> None:
     """The 2 s of numpy count where it was called from: 1.5 s in the likelihood, 0.5 s in the reader of logs."""
     algebra = (str(costs.PACKAGE / "diagnosis/search/likelihood.py"), 1, "whiten")

@@ -12,6 +12,63 @@ from vpptwin.effects import CATALOGUE, Effect, Parameter, Stage, effects_for_rig
 from vpptwin.effects.actuator import list_loop_effects
 from vpptwin.effects.table import print_catalogue
 
+# What other tools depend on: effects of the drone, names of the parameters with their units.
+DAMPING, FORCE, STRIBECK = {"damping": "N s/m"}, {"force": "N"}, {"force": "N", "velocity": "m/s"}
+AGREED_EFFECTS: dict[str, dict[str, str]] = {
+    "rail_x.coulomb": FORCE,
+    "rail_z.coulomb": FORCE,
+    "rail_x.stiction": STRIBECK,
+    "rail_z.stiction": STRIBECK,
+    "rail_x.viscous": DAMPING,
+    "rail_z.viscous": DAMPING,
+    "pitch.viscous": {"damping": "N m s/rad"},
+    "rail_x.jamming": {"mu": ""},
+    "rail_z.jamming": {"mu": ""},
+    "rail_x.bias": FORCE,
+    "rail_z.bias": FORCE,
+    "pitch.bias": {"force": "N m"},
+    "rail_x.spring": {"stiffness": "N/m", "rest": "m"},
+    "rail_x.asymmetry": {"fraction": ""},
+    "rail_z.asymmetry": {"fraction": ""},
+    "rail_x.tight_spot": {"force": "N", "place": "m", "width": "m"},
+    "pitch.coulomb": {"torque": "N m"},
+    "rail.tilt": {"angle": "rad"},
+    "airframe.mass": {"mass": "kg"},
+    "airframe.inertia": {"inertia": "kg m^2"},
+    "carriage.mass": {"mass": "kg"},
+    "airframe.com": {"offset": "m"},
+    "airframe.com_height": {"offset": "m"},
+    "air.drag": {"k_d": "N s^2/m^2"},
+    "air.ground_effect": {"gain": "", "height": "m"},
+    "rotor.thrust_gain": {"gain": ""},
+    "rotor.asymmetry": {"fraction": ""},
+    "rotor.negative_thrust": {"loss": ""},
+    "rotor.stall": {"onset": "rad"},
+    "rotor.inflow": {"damping": "N s/(m rad)"},
+    "rotor.in_plane": {"damping": "N s/(m rad)"},
+    "rotor.drag": {"gain": ""},
+    "battery.sag": {"rate": "1/s"},
+    "servo.lag": {"time_constant": "s"},
+    "servo.rate_limit": {"rate": "rad/s"},
+    "servo.backlash": {"gap": "rad"},
+    "servo.trim": {"offset_1": "rad", "offset_2": "rad"},
+    "command.delay": {"delay": "s"},
+    "mocap.delay": {"delay": "s"},
+    "mocap.misalignment": {"angle": "rad"},
+    "mocap.scale": {"scale": ""},
+    "clock.drift": {"drift": "s/s"},
+    "gyro.bias": {"bias": "rad/s"},
+    "gyro.scale": {"scale": ""},
+}
+MORE_EFFECTS: dict[str, dict[str, str]] = {
+    "rail_x.lugre": {"compliance": "m/N"},
+    "rail_z.lugre": {"compliance": "m/N"},
+    "pitch.lugre": {"compliance": "rad/(N m)"},
+    "rail_x.elastic": {"share": "", "frequency": "Hz", "zeta": ""},
+    "contact.compliance": {"stiffness": "", "damping": ""},
+    "contact.friction": {"gain": ""},
+}
+"""What the catalogue has besides these."""
 JOINT_KINDS = {"coulomb", "stiction", "viscous", "bias", "spring", "inertia", "lugre", "offset", "load",
                     "rate_bias", "rate_scale", "cogging", "tight_spot", "fade",
                     "drag"}  # fmt: skip
@@ -38,6 +95,13 @@ EVERY_PARAMETER = [pytest.param(e, p, id=f"{e.id}.{p.name}") for e in (*CATALOGU
 def is_limit(effect: Effect) -> bool:
     """Whether an effect is off at the upper bound of its parameter."""
     return effect.id.rpartition(".")[2] in LIMITS
+
+
+def test_the_catalogue_is_the_agreed_one() -> None:
+    """Every effect that was agreed on is there once, with its parameters and units; what is besides is listed."""
+    ids = [effect.id for effect in CATALOGUE]
+    assert len(set(ids)) == len(ids)
+    assert {e.id: {p.name: p.unit for p in e.parameters} for e in CATALOGUE} == AGREED_EFFECTS | MORE_EFFECTS
 
 
 def test_any_rig_has_the_generic_effects() -> None:
@@ -69,6 +133,24 @@ def test_look_alikes_are_mutual(effects: tuple[Effect, ...]) -> None:
         assert effect.id not in effect.look_alikes
         for alike in effect.look_alikes:
             assert effect.id in known[alike].look_alikes, f"{alike} does not list {effect.id}"
+
+
+def test_known_look_alikes_are_listed() -> None:
+    """The groups that a study of this rig found hard to tell apart are there."""
+    groups = (
+        ("rail_x.bias", "rail.tilt", "mocap.misalignment"),
+        ("airframe.mass", "rotor.thrust_gain", "servo.trim"),
+        ("rotor.asymmetry", "servo.trim", "airframe.com"),
+        ("rail_x.viscous", "air.drag", "rotor.in_plane"),
+        ("command.delay", "servo.lag"),
+        ("airframe.inertia", "gyro.scale", "rotor.thrust_gain"),
+        ("mocap.delay", "clock.drift"),
+        ("rail_x.asymmetry", "rail.tilt"),
+        ("rail_x.spring", "carriage.mass"),
+    )
+    for group in groups:
+        for effect_id in group:
+            assert set(group) - {effect_id} <= set(find_effect(CATALOGUE, effect_id).look_alikes)
 
 
 def test_what_scales_friction_comes_after_all_of_it() -> None:

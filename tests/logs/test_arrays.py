@@ -212,3 +212,10 @@ def test_tests_of_a_file_are_told_apart_by_name(tmp_path: Path) -> None:
     assert list_sources(f"{log}#1") == [log]
     part = read_flight(f"{log}#1@1-2", None, {"/joint_states": {"j": SignalEntry(topic="log", position="q")}})
     assert part.joints["/joint_states"]["j"]["position"].tolist() == SWING[100:200].tolist()
+
+
+def test_the_next_run_is_called_as_the_twin_says(tmp_path: Path) -> None:
+    """As of CSV: a twin of one run takes the others."""
+    flight = read_joint(save(tmp_path / "run_2.mat", TABLE), "run_1", position="swing")
+    np.testing.assert_allclose(flight.joints["/joint_states"]["j"]["position"], SWING)
+    assert not any("run_1" in warning for warning in flight.warnings)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import CompressionType
 from mcap.writer import Writer as PlainWriter
 from mcap_ros2.writer import Writer
 from zstandard import ZstdCompressor
@@ -127,6 +128,13 @@ def test_files_that_overlap_are_joined(tmp_path: Path) -> None:
     flight = read_flight([again, first])
     assert len(flight.streams["/mocap/pose"]) == 50
     assert "30 of 80 messages on /mocap/pose repeat a stamp, dropped" in flight.warnings
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_every_compression_is_read(tmp_path: Path, compression: CompressionType) -> None:
+    """zstd, lz4 and no compression, in many small chunks."""
+    bag = Bag(tmp_path / "log.mcap").add("/mocap/pose", POSE, make_poses(50))
+    assert len(read_flight(bag.write(compression, chunk_size=500)).streams["/mocap/pose"]) == 50
 
 
 def test_files_without_chunks_are_read(tmp_path: Path) -> None:

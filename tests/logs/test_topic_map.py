@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.logs.bags import EPOCH, IMU, POSE, Bag, make_imu, make_pose, make_poses, refuse, stamp_header
+from tests.logs.bags import EPOCH, IMU, JOINTS, POSE, Bag, make_imu, make_pose, make_poses, refuse, stamp_header
 from vpptwin.logs import read_flight
 from vpptwin.logs.messages import compose_definition
 from vpptwin.system.errors import InputError
@@ -24,6 +24,13 @@ def write_map(folder: Path, text: str) -> Path:
     path = folder / "map.yaml"
     path.write_text(text)
     return path
+
+
+def test_a_topic_is_renamed(tmp_path: Path) -> None:
+    """The short form names another topic of the same type."""
+    log = Bag(tmp_path / "log.mcap").add("/vrpn/drone/pose", POSE, make_poses(3)).write()
+    flight = read_flight(log, write_map(tmp_path, "/mocap/pose: /vrpn/drone/pose"))
+    assert flight.streams["/mocap/pose"]["x"].tolist() == [0.0, 0.01, 0.02]
 
 
 def test_fields_are_scaled_and_turned(tmp_path: Path) -> None:
@@ -150,3 +157,28 @@ def test_maps_that_do_not_fit_the_log_are_refused(tmp_path: Path, text: str, par
 def test_a_missing_map_is_refused(tmp_path: Path) -> None:
     """A topic map that does not exist is refused before the log is read."""
     refuse(tmp_path / "log.mcap", "no topic map", topics=tmp_path / "map.yaml")
+
+
+def test_a_rotation_about_another_axis_is_read(tmp_path: Path) -> None:
+    """A tracker with y up and the plane's normal along its z names that axis."""
+    angle = 0.1 * np.arange(20)
+    poses = make_poses(20)
+    for value, pose in zip(angle, poses, strict=True):
+        pose["pose"] = {
+            "position": {"x": 0.0, "y": 1.5, "z": 0.0},
+            "orientation": {"x": 0.0, "y": 0.0, "z": np.sin(value / 2), "w": np.cos(value / 2)},
+        }
+    log = Bag(tmp_path / "log.mcap").add("/mocap/pose", POSE, poses).write()
+    text = "/mocap/pose: {topic: /mocap/pose, fields: {z: pose.position.y, theta: {path: pose.orientation, axis: z}}}"
+    pose = read_flight(log, write_map(tmp_path, text)).streams["/mocap/pose"]
+    assert np.allclose(pose["theta"], angle, atol=1e-12)
+    assert np.allclose(pose["z"], 1.5)
+
+
+def test_joint_topics_are_renamed(tmp_path: Path) -> None:
+    """JointState topics can be given the name that a twin asks for."""
+    states = [{"header": stamp_header(EPOCH + k * MS), "name": ["a"], "position": [0.1 * k]} for k in range(3)]
+    log = Bag(tmp_path / "log.mcap").add("/robot/joints", JOINTS, states).write()
+    flight = read_flight(log, write_map(tmp_path, "/joint_states: {topic: /robot/joints}"))
+    assert flight.joints["/joint_states"]["a"]["position"].tolist() == [0.0, 0.1, 0.2]
+    assert set(read_flight(log).joints) == {"/robot/joints"}

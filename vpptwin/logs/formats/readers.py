@@ -1,4 +1,4 @@
-"""All kinds of log files. A new format is a function that reads it, named in `FORMATS` here; nothing else changes.
+"""All kinds of log files. A new format is a function that reads it, named in `FORMATS` here.
 
 The function yields tables of named columns over time, as `read_arrays` does. They are kept as channels and, by
 `convert`, written as MCAP. Columns are named by `headings`, which finds the timestamps among them too.
