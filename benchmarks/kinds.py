@@ -15,6 +15,7 @@ Every diagnosis is `vpptwin diagnose` in a process of its own. A line tells each
 | wrong | a cause with at least 0.7 is neither of that kind nor there in small |
 | holds | 90 % intervals of the causes that are there hold the truth |
 | error | at the horizon that the owner feels, on held-out windows, before and after |
+| refused | a refusal that gives the right scales of columns counts as right |
 | silent | where nothing is wrong, nothing is named, nothing unexplained, and no misfit told |
 """
 
@@ -25,6 +26,7 @@ import json
 import math
 import os
 import queue
+import re
 import subprocess
 import sys
 import time
@@ -50,6 +52,8 @@ from vpptwin.system.files import write_json  # noqa: E402
 SURE = 0.7
 """Confidence from which a kind is decided, and a wrong cause is wrong."""
 MARKS = ("first", "kind", "sure", "all", "wrong", "silent")
+NEAR = 0.1
+"""So close has a scale to be that a refusal tells."""
 GRACE = 180.0
 """Longer than its limit no diagnosis may take to end [s]."""
 
@@ -105,6 +109,16 @@ def score(case: Kind, verdict: Mapping[str, Any]) -> Scored:
     }  # fmt: skip
 
 
+def score_refusal(case: Kind, said: str) -> Scored | None:
+    """A refusal that gives every true gain as the `scale` of its column, within `NEAR`, is as right as a verdict."""
+    scales = {f"{name}.gain.gain": float(scale) for scale, name in re.findall(r"`scale: (\S+)` for (\w+)", said)}
+    if not case.truth or any(abs(scales.get(name, 0.0) / value - 1.0) > NEAR for name, value in case.truth.items()):
+        return None
+    marks = dict.fromkeys(("first", "kind", "sure", "all"), True)
+    return {**marks, "share": 1.0, "wrong": False, "wrong_causes": [], "holds": {}, "error": None, "silent": None,
+            "causes": [], "stopped": None, "found": [], "refused": said}  # fmt: skip
+
+
 def run_case(kind: str, seed: int, limit: str, keep: Path | None) -> Scored:
     """Write a case, diagnose it as its owner would, and score the verdict; a diagnosis that fails is a result too."""
     with TemporaryDirectory() as temporary:
@@ -126,7 +140,8 @@ def run_case(kind: str, seed: int, limit: str, keep: Path | None) -> Scored:
             said = f"did not end {GRACE:.0f} s after its limit"
         about["seconds"] = round(time.perf_counter() - begun, 1)
         if not (out / "verdict.json").exists():
-            return about | {"failed": said.split("\r")[-1]}
+            said = said.split("\r")[-1]
+            return about | (score_refusal(case, said) or {"failed": said})
         return about | score(case, json.loads((out / "verdict.json").read_text()))
 
 
@@ -146,6 +161,7 @@ def tell_case(found: Scored) -> str:
     marks += [f"WRONG {', '.join(found['wrong_causes'])}"] * found["wrong"] + ["stopped"] * bool(found["stopped"])
     marks += [f"misses {name}" for name, held in found["holds"].items() if not held]
     error = found["error"]
+    causes = "refused with the right scales" if found.get("refused") else causes
     felt = f"{error[0]:.3g} → {error[1]:.3g} {found['unit']}" if error else "error not told"
     return (
         f"{head}{causes} | {felt} at {found['horizon_s']} s | {', '.join(marks) or 'none'} ({found['seconds']:.0f} s)"

@@ -79,3 +79,15 @@ def test_the_table_counts_failures() -> None:
     cases = [good, about | {"failed": "no verdict"}]
     assert "| decay | 2 | 1/2 | 1/2 | 1/2 | 0/2 | 0/1 | 1/1 | 10 % | - | 1 | 3 |" in kinds.format_table(cases)
     assert "FAILED no verdict" in kinds.tell_case(cases[1])
+
+
+def test_a_refusal_with_the_right_scale_is_right() -> None:
+    """Current in place of torque is refused with the factor, which is all that its owner needs."""
+    case = Kind(Path("rig.xml"), None, [], {"m.gain.gain": 5.5}, frozenset({"m.gain"}), frozenset(), 0.5, "rad")
+    about = {"case": "current_0", "truth": case.truth, "horizon_s": 0.5, "unit": "rad", "seconds": 3.0}
+    found = kinds.score_refusal(case, "give `scale: 5.497` for m in the twin's signals")
+    assert found is not None
+    assert found["sure"]
+    assert "refused with the right scales" in kinds.tell_case(about | found)
+    assert kinds.score_refusal(case, "give `scale: 3.1` for m in the twin's signals") is None
+    assert kinds.score_refusal(CASE, "no such file") is None
