@@ -1,0 +1,195 @@
+"""Fits of hypotheses: Gauss-Newton on the simulation itself, noise scales inferred at every step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from vpptwin.inference.model import Posterior, Prior, ScalePrior, Scales, Windows, infer
+
+Key = tuple[str, str]
+"""Effect id and parameter name."""
+Point = Mapping[Key, float]
+STEPS, SHORTEST = 6, 0.1
+"""Steps of Gauss-Newton at most, and the shortest stride."""
+SETTLED = 0.15
+"""Gain of log evidence under which a fit has settled."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A parameter that may be wrong.
+
+    Attributes:
+        key: effect and parameter.
+        mean: value that is expected.
+        std: width of its prior.
+        low, high: bounds.
+        step: difference by which a derivative is taken from a value.
+    """
+
+    key: Key
+    mean: float
+    std: float
+    low: float
+    high: float
+    step: Callable[[float], float]
+
+
+class Simulator(Protocol):
+    """K windows of a simulation beside what was measured, M values each in C channels."""
+
+    noise: np.ndarray  # assumed standard deviation of every value, (K, M); infinite where nothing was measured
+    columns: Sequence[slice]  # where every channel lies among the M
+    process: np.ndarray  # degree of freedom of every force pulse, (G,)
+    scale_prior: ScalePrior
+
+    def residuals(self, points: Sequence[Point], about: Point) -> np.ndarray:
+        """Measured less simulated at every point, (V, K, M), finite, from starting states as seen `about` one."""
+
+    def respond(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives by starting states and force pulses, in units of their priors, (K, M, S) and (K, M, G)."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Parameters from which a fit of an effect may start where slopes lead nowhere.
+
+    Attributes:
+        effect: of which they are.
+        values: of its parameters.
+        scales: the first of them, in proportion to which it acts; None where it does not.
+    """
+
+    effect: str
+    values: Mapping[Key, float]
+    scales: Unknown | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A hypothesis at its most probable parameters.
+
+    Attributes:
+        effects: that are free.
+        values: of their parameters.
+        posterior: of those, in the order of `values`.
+        windows: compressed about `values`.
+        prior: of the parameters.
+    """
+
+    effects: frozenset[str]
+    values: dict[Key, float]
+    posterior: Posterior
+    windows: Windows
+    prior: Prior
+
+    @property
+    def evidence(self) -> float:
+        """Log marginal likelihood, up to a constant of the data (Laplace's approximation)."""
+        return -0.5 * (self.posterior.deviance + self.posterior.penalty)
+
+    @property
+    def std(self) -> dict[Key, float]:
+        """Standard deviation of every parameter."""
+        return dict(zip(self.values, np.sqrt(np.diag(self.posterior.covariance)), strict=True))
+
+
+class Fitter:
+    """Fits hypotheses on one simulator. What it remembers is keyed by value: the order of questions cannot matter."""
+
+    def __init__(self, simulator: Simulator, unknowns: Sequence[Unknown], trials: Sequence[Trial] = ()) -> None:
+        self.simulator, self.unknowns, self.trials = simulator, tuple(unknowns), tuple(trials)
+        self._fits: dict[Hashable, Fit] = {}
+
+    def of(self, effects: frozenset[str]) -> list[Unknown]:
+        """The parameters of some effects, in the order of the catalogue."""
+        return [u for u in self.unknowns if u.key[0] in effects]
+
+    def linearise(self, values: Point, unknowns: Sequence[Unknown]) -> Windows:
+        """Windows about a point, with derivatives by some parameters."""
+        at = np.array([values.get(u.key, u.mean) for u in unknowns])
+        moved = [float(np.clip(v + u.step(v), u.low, u.high)) for u, v in zip(unknowns, at)]
+        points = [dict(values), *({**values, u.key: there} for u, there in zip(unknowns, moved))]
+        residuals = self.simulator.residuals(points, values)
+        steps = np.array(moved) - at
+        slopes = (residuals[0] - residuals[1:]) / np.where(steps == 0.0, 1.0, steps)[:, None, None]
+        return self.compress(slopes, residuals[0], at, self.simulator.respond(values))
+
+    def compress(
+        self, slopes: np.ndarray, residual: np.ndarray, at: np.ndarray, response: tuple[np.ndarray, np.ndarray]
+    ) -> Windows:
+        """Windows from derivatives (P, K, M) and a residual (K, M)."""
+        simulator = self.simulator
+        given = at, simulator.process, simulator.noise, simulator.columns
+        return Windows.compress(slopes, *response, residual, *given)
+
+    @staticmethod
+    def prior_of(unknowns: Sequence[Unknown]) -> Prior:
+        """The prior of some parameters."""
+        return Prior(*(np.array([getattr(u, name) for u in unknowns]) for name in ("mean", "std", "low", "high")))
+
+    @cached_property
+    def nominal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Slopes by every parameter about the nominal point, (P, K, M), where taken, (P,), and trials' changes, (T, K, M).
+
+        What is fitted takes its own slopes anew; these only say what is worth fitting.
+        """
+        at = np.array([u.mean for u in self.unknowns])
+        moved = np.array([np.clip(v + u.step(v), u.low, u.high) for u, v in zip(self.unknowns, at)])
+        points = [{}, *({u.key: float(v)} for u, v in zip(self.unknowns, moved)), *(t.values for t in self.trials)]
+        residuals = self.simulator.residuals(points, {})
+        changed, steps = residuals[0] - residuals[1:], moved - at
+        slopes = changed[: len(at)] / np.where(steps == 0.0, 1.0, steps)[:, None, None]
+        return slopes, at, changed[len(at) :]
+
+    def screen(self, fit: Fit) -> np.ndarray:
+        """Inner products of all parameters, all trials and what a fit misses, (P + T + 1, P + T + 1), under its noise."""
+        slopes, _, changed = self.nominal
+        simulator, scales = self.simulator, fit.posterior.scales
+        noise = simulator.noise.copy()
+        for columns, scale in zip(simulator.columns, np.exp(scales.sensor)):
+            noise[:, columns] *= scale
+        residual = simulator.residuals([fit.values], fit.values)[0]
+        every = np.concatenate([slopes, changed])
+        given = np.zeros(len(every)), simulator.process, noise, [slice(None)]
+        windows = Windows.compress(every, *simulator.respond(fit.values), residual, *given)
+        return windows.eliminate(Scales(np.zeros(1), scales.process)).information.sum(axis=0)
+
+    def fit(self, effects: frozenset[str], start: Point, scales: Scales | None = None, steps: int = STEPS) -> Fit:
+        """Most probable parameters of some effects, from a start, after so many steps at most."""
+        unknowns = self.of(effects)
+        prior = self.prior_of(unknowns)
+        values = {u.key: float(start.get(u.key, u.mean)) for u in unknowns}
+        key = effects, frozenset(values.items()), steps
+        if key in self._fits:
+            return self._fits[key]
+        scale_prior = self.simulator.scale_prior
+        scales, best, stride, ahead = scales or scale_prior.start, None, 1.0, np.empty(0)
+        for _ in range(steps if unknowns else 1):
+            windows = self.linearise(values, unknowns)
+            here = infer(windows, prior, scale_prior, scales, moving=False)
+            there = infer(windows, prior, scale_prior, here.scales) if unknowns else here
+            penalised = Posterior(here.mean, there.precision, here.deviance, there.penalty, here.scales)
+            fit = Fit(effects, values, penalised, windows, prior)
+            gain = np.inf if best is None else fit.evidence - best.evidence
+            if gain > 0.0:
+                best, ahead, stride, scales = fit, there.mean, min(1.0, 2.0 * stride), there.scales
+                if gain < SETTLED:
+                    break
+            else:
+                stride *= 0.4
+                if stride < SHORTEST:
+                    break
+            at = best.windows.at if best else windows.at
+            moved = np.clip(at + stride * (ahead - at), prior.low, prior.high)  # rounding may lead past a bound
+            if np.allclose(moved, windows.at, rtol=1e-9, atol=0.0):
+                break
+            values = {u.key: float(v) for u, v in zip(unknowns, moved)}
+        assert best is not None
+        self._fits[key] = best
+        return best

@@ -1,0 +1,303 @@
+"""The Gaussian linear model of windows, compressed to inner products, and its log marginal likelihood.
+
+In window k the residual is r = J θ + X x + U n + e: θ parameters that all windows share, x ~ N(0, I) the error of the
+starting state, n ~ N(0, g²) force pulses, e ~ N(0, σ²) sensor noise. Given the scales σ of every channel and g of
+every degree of freedom all of it is linear and Gaussian, so that x and n are integrated out in closed form, and inner
+products of columns are all that is ever needed (BDA3, ch. 14).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import lsq_linear, minimize
+
+SETTLED = {"ftol": 1e-6, "gtol": 0.02}
+MAX_SEARCH = 40
+"""Steps at most of the search for noise scales."""
+LOWEST, HIGHEST = 1e-4, 1e5
+"""Bounds of the process noise, in its prior median."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Logarithms of the noise scales: `sensor` of every channel, (C,), and `process` of every degree of freedom, (D,).
+
+    In units of the standard deviations that the columns and residuals were divided by.
+    """
+
+    sensor: np.ndarray
+    process: np.ndarray
+
+
+@dataclass(frozen=True)
+class ScalePrior:
+    """Log-normal priors of the scales.
+
+    Attributes:
+        sensor_std: standard deviation of their logarithms, (C,): small where a data sheet is believed.
+        sensor_low: least values, (C,): half of a step of quantisation is noise in any case.
+        process_median: (D,), most of the mass near zero.
+        process_std: of the logarithms, (D,).
+    """
+
+    sensor_std: np.ndarray
+    sensor_low: np.ndarray
+    process_median: np.ndarray
+    process_std: np.ndarray
+
+    def cost(self, scales: Scales) -> float:
+        """Minus twice the log of the prior density, up to a constant."""
+        return float(
+            ((scales.sensor / self.sensor_std) ** 2).sum()
+            + (((scales.process - np.log(self.process_median)) / self.process_std) ** 2).sum()
+        )
+
+    def slope(self, scales: Scales) -> tuple[np.ndarray, np.ndarray]:
+        """Its derivatives, (C,) and (D,)."""
+        away = scales.process - np.log(self.process_median)
+        return 2.0 * scales.sensor / self.sensor_std**2, 2.0 * away / self.process_std**2
+
+    @property
+    def start(self) -> Scales:
+        """Where a search starts."""
+        return Scales(np.log(np.maximum(1.0, self.sensor_low)), np.log(self.process_median) + self.process_std)
+
+    @property
+    def bounds(self) -> list[tuple[float, float]]:
+        """Of sensor scales, then of process scales."""
+        sensor = [(float(np.log(low)), 9.0) for low in self.sensor_low]
+        return sensor + [(float(np.log(m * LOWEST)), float(np.log(m * HIGHEST))) for m in self.process_median]
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Of parameters, (P,) each: where they are expected, how widely, and the bounds that they cannot leave."""
+
+    mean: np.ndarray
+    std: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    def take(self, chosen: np.ndarray) -> Prior:
+        """Of some of them."""
+        return Prior(self.mean[chosen], self.std[chosen], self.low[chosen], self.high[chosen])
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """K windows about one point, as inner products.
+
+    Attributes:
+        products: of the columns [J | X | U | r] in every window and channel, over the assumed noise, (K, C, n, n).
+        counts: measured values in every window and channel, (K, C).
+        at: the point, (P,).
+        states: number of columns of X.
+        process: degree of freedom of every column of U, (G,).
+    """
+
+    products: np.ndarray
+    counts: np.ndarray
+    at: np.ndarray
+    states: int
+    process: np.ndarray
+
+    @classmethod
+    def compress(
+        cls, slopes: np.ndarray, states: np.ndarray, pushes: np.ndarray, residual: np.ndarray, at: np.ndarray,
+        process: np.ndarray, noise: np.ndarray, columns: Sequence[slice],
+    ) -> Windows:  # fmt: skip
+        """From slopes (P, K, M), columns X (K, M, S) and U (K, M, G), a residual and its assumed noise, (K, M) each.
+
+        The noise is infinite where nothing was measured.
+        """
+        design = np.concatenate([np.moveaxis(slopes, 0, -1), states, pushes, residual[..., None]], axis=2)
+        design = design / noise[..., None]
+        products = np.stack([np.swapaxes(design[:, c], 1, 2) @ design[:, c] for c in columns], axis=1)
+        counts = np.stack([np.isfinite(noise[:, c]).sum(axis=1) for c in columns], axis=1)
+        return cls(products, counts, at, states.shape[2], process)
+
+    def take(self, rows: np.ndarray) -> Windows:
+        """Some of the windows."""
+        return replace(self, products=self.products[rows], counts=self.counts[rows])
+
+    def restrict(self, parameters: np.ndarray) -> Windows:
+        """With some of the parameters, the others staying where they are."""
+        width = self.products.shape[-1]
+        kept = np.concatenate([parameters, np.arange(len(self.at), width)]).astype(int)
+        return replace(self, products=self.products[:, :, kept[:, None], kept], at=self.at[parameters])
+
+    @cached_property
+    def _blocks(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Products among [X U], (K, C, N²), between them and [J r], (K, C, N (P + 1)), and among those, (K, C, ...)."""
+        number, last = len(self.at), self.products.shape[-1] - 1
+        noise, outer = np.arange(number, last), np.append(np.arange(number), last).astype(int)
+        pairs = (noise, noise), (noise, outer), (outer, outer)
+        shape = self.products.shape[:2]
+        return tuple(self.products[:, :, a[:, None], b].reshape(*shape, -1) for a, b in pairs)  # type: ignore[return-value]
+
+    def weigh(self, scales: Scales) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same, summed over channels by what their noise is: (K, N, N), (K, N, P + 1), (K, P + 1, P + 1)."""
+        weight, count, free = np.exp(-2.0 * scales.sensor), len(self.counts), len(self.at) + 1
+        noise, across, outer = (np.einsum("kcx,c->kx", block, weight) for block in self._blocks)
+        size = self.products.shape[-1] - free
+        return noise.reshape(count, size, size), across.reshape(count, size, free), outer.reshape(count, free, free)
+
+    def eliminate(self, scales: Scales) -> Eliminated:
+        """Integrate the starting states and force pulses out."""
+        noise, across, outer = self.weigh(scales)
+        size = np.concatenate([np.ones(self.states), np.exp(scales.process)[self.process]])
+        inner = noise * size * size[:, None] + np.eye(len(size))
+        across = across * size[:, None]
+        root = np.linalg.cholesky(inner)
+        solved = np.linalg.solve(inner, across)
+        information = outer - np.swapaxes(across, 1, 2) @ solved
+        logdet = 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) + 2.0 * self.counts @ scales.sensor
+        return Eliminated(information, logdet, inner, solved, size)
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """Windows in which only the parameters are left.
+
+    Attributes:
+        information: inner products of [J | r] under S = σ² + X Xᵀ + U g² Uᵀ, (K, P + 1, P + 1).
+        logdet: log determinant of S, up to a constant, (K,).
+        inner: I + D [X U]ᵀ [X U] D / σ², with D the scales of states and pulses, (K, N, N).
+        solved: its inverse times D [X U]ᵀ [J | r] / σ², (K, N, P + 1).
+        size: D, (N,).
+    """
+
+    information: np.ndarray
+    logdet: np.ndarray
+    inner: np.ndarray
+    solved: np.ndarray
+    size: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Of the parameters of a hypothesis given the scales.
+
+    Attributes:
+        mean: most probable values, (P,).
+        precision: inverse covariance, (P, P).
+        deviance: minus twice the log likelihood there, up to a constant.
+        penalty: minus twice the log of prior over posterior density there (Laplace): what freedom costs.
+        scales: of the noises.
+    """
+
+    mean: np.ndarray
+    precision: np.ndarray
+    deviance: float
+    penalty: float
+    scales: Scales
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the parameters, (P, P)."""
+        unit = 1.0 / np.sqrt(np.diag(self.precision))
+        return np.linalg.pinv(self.precision * unit * unit[:, None], hermitian=True) * unit * unit[:, None]
+
+
+def find_mode(information: np.ndarray, at: np.ndarray, prior: Prior) -> tuple[np.ndarray, np.ndarray, float]:
+    """Most probable parameters within bounds, their precision, and r's square there with the prior's (P + 1, P + 1)."""
+    if not len(at):
+        return at, np.empty((0, 0)), float(information[-1, -1])
+    gram, along = information[:-1, :-1], information[:-1, -1]
+    precision = gram + np.diag(prior.std**-2)
+    target = along + (prior.mean - at) / prior.std**2
+    unit = 1.0 / np.sqrt(np.diag(precision))
+    scaled = precision * unit * unit[:, None] + 1e-10 * np.eye(len(at))
+    step = np.linalg.solve(scaled, target * unit) * unit
+    low, high = prior.low - at, prior.high - at
+    if np.any(step < low) or np.any(step > high):
+        root = np.linalg.cholesky(scaled)
+        bounds = (low / unit - 1e-9, high / unit + 1e-9)
+        step = lsq_linear(root.T, np.linalg.solve(root, target * unit), bounds=bounds, method="bvls").x * unit
+        step = np.clip(step, low, high)
+    square = information[-1, -1] - 2.0 * along @ step + step @ gram @ step
+    away = (at + step - prior.mean) / prior.std
+    return at + step, precision, float(square + away @ away)
+
+
+def infer(windows: Windows, prior: Prior, scale_prior: ScalePrior, start: Scales, moving: bool = True) -> Posterior:
+    """Posterior of parameters with the most probable noise scales.
+
+    Args:
+        windows: K windows with P parameters.
+        prior: of the parameters.
+        scale_prior: of the noise scales.
+        start: scales from which the search begins.
+        moving: whether parameters move; else they are judged where they are.
+    """
+    channels, at = windows.counts.shape[1], windows.at
+    still = windows if moving else windows.restrict(np.empty(0, int))
+    own = prior if moving else prior.take(np.empty(0, int))
+
+    def deviance(x: np.ndarray) -> tuple[float, np.ndarray]:
+        scales = Scales(x[:channels], x[channels:])
+        e = still.eliminate(scales)
+        mean, _, square = find_mode(e.information.sum(axis=0), still.at, own)
+        left = np.concatenate([still.at - mean, [1.0]])
+        noise = e.solved @ left  # posterior mean of states and pulses, in their own scale
+        inverse = np.linalg.inv(e.inner)
+        # d log det / d log g = 2 (1 - N⁻¹ᵢᵢ), d square / d log g = -2 nᵢ², of every pulse i.
+        drive = 2.0 * (1.0 - np.diagonal(inverse, axis1=1, axis2=2) - noise**2).sum(axis=0)[windows.states :]
+        process = np.bincount(windows.process, drive, minlength=len(scales.process))
+        noises, across, outer = still._blocks
+        pulses = noise * e.size
+        shrunk = inverse * e.size * e.size[:, None] + pulses[:, :, None] * pulses[:, None, :]
+        # d (log det + square) / d log σ of a channel = 2 (values - trace of N⁻¹ - squares left at the posterior mean).
+        spent = np.einsum("kcx,kx->c", noises, shrunk.reshape(len(noise), -1))
+        spent -= 2.0 * np.einsum("kcx,kx->c", across, (pulses[:, :, None] * left).reshape(len(noise), -1))
+        spent += np.einsum("kcx,x->c", outer, np.outer(left, left).ravel())
+        sensor = 2.0 * windows.counts.sum(axis=0) - 2.0 * np.exp(-2.0 * scales.sensor) * spent
+        by_sensor, by_process = scale_prior.slope(scales)
+        slope = np.concatenate([sensor + by_sensor, process + by_process])
+        return square + float(e.logdet.sum()) + scale_prior.cost(scales), slope
+
+    x0 = np.concatenate([start.sensor, start.process])
+    bounds = scale_prior.bounds
+    x0 = np.clip(x0, *np.array(bounds).T)
+    found = minimize(deviance, x0, jac=True, method="L-BFGS-B", bounds=bounds, options=SETTLED | {"maxiter": MAX_SEARCH})
+    scales = Scales(found.x[:channels], found.x[channels:])
+    e = windows.eliminate(scales)
+    total = e.information.sum(axis=0)
+    mean, precision, square = find_mode(total, at, prior)
+    if not moving:
+        mean, away = at, (at - prior.mean) / prior.std
+        square = float(total[-1, -1] + away @ away)
+    cost = square + float(e.logdet.sum()) + scale_prior.cost(scales)
+    penalty = float(np.linalg.slogdet(precision * prior.std * prior.std[:, None])[1]) if len(at) else 0.0
+    return Posterior(mean, precision, cost, penalty, scales)
+
+
+def predict_folds(
+    windows: Windows, prior: Prior, scale_prior: ScalePrior, posterior: Posterior, fold: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Log predictive density of every window under a fit to the other folds, (K,), and the parameters then, (F, P).
+
+    The density of a fold's windows together, parameters integrated out (Vehtari, Gelman and Gabry, Statistics and
+    Computing 27, 2017, with blocks in place of points); its windows share it alike but for their squares.
+    """
+    density, means = np.zeros(len(fold)), []
+    for number in np.unique(fold):
+        test, train = np.flatnonzero(fold == number), np.flatnonzero(fold != number)
+        fitted = infer(windows.take(train), prior, scale_prior, posterior.scales)
+        e = windows.take(test).eliminate(fitted.scales)
+        left = np.concatenate([windows.at - fitted.mean, [1.0]])
+        square = np.einsum("i,kij,j->k", left, e.information, left)
+        shared = 0.0
+        if len(left) > 1:
+            total = e.information.sum(axis=0)
+            along = total[:-1] @ left
+            joint = fitted.precision + total[:-1, :-1]
+            widening = np.linalg.slogdet(joint)[1] - np.linalg.slogdet(fitted.precision)[1]
+            shared = float(widening - along @ np.linalg.solve(joint, along)) / len(test)
+        density[test] = -0.5 * (square + e.logdet + shared)
+        means.append(fitted.mean)
+    return density, np.array(means)

@@ -1,0 +1,190 @@
+"""The search over sets of effects, and what their log marginal likelihoods say of every effect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vpptwin.inference.fit import Fit, Fitter, Point
+from vpptwin.inference.model import Prior, Scales, find_mode
+
+FEW, PROMISING = 16, 8
+"""Candidates that are fitted by themselves, and beside others, at most."""
+MOST_TIMES = 10.0
+"""Times that a trial may be as strong."""
+BRIEF, REACH = 2, 12.0
+"""Steps of a first, brief fit, and log evidence by which one may be behind the best to go on."""
+LEAST = 0.5
+"""Half of a square that an effect must take away to be fitted at all."""
+STARTS = 2
+"""Places from which a candidate is fitted."""
+WIDTH = 12.0
+"""Sets whose log weight is so far below the best are not extended (Occam's window; Madigan and Raftery, 1994)."""
+MOST_EFFECTS, MOST_SETS = 6, 14
+"""Effects in a set at most, and sets that are extended at most."""
+
+
+@dataclass
+class Comparison:
+    """Sets of effects that were fitted, and their weights.
+
+    Attributes:
+        fits: set → fit.
+        temper: by which log evidence is divided: no simulation is exact (Miller and Dunson, Robust Bayesian inference
+            via coarsening, JASA 114, 2019).
+        odds: log of the prior odds that an effect is there.
+    """
+
+    temper: float
+    odds: float
+    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+
+    def add(self, fit: Fit) -> None:
+        """Keep a fit if it is the best of its set."""
+        known = self.fits.get(fit.effects)
+        if known is None or fit.evidence > known.evidence:
+            self.fits[fit.effects] = fit
+
+    def log_weight(self, effects: frozenset[str]) -> float:
+        """Of a set that was fitted, up to a constant."""
+        return self.fits[effects].evidence / self.temper + self.odds * len(effects)
+
+    @property
+    def ordered(self) -> list[frozenset[str]]:
+        """Sets, the most probable first; names break ties."""
+        return sorted(self.fits, key=lambda effects: (-self.log_weight(effects), sorted(effects)))
+
+    @property
+    def best(self) -> Fit:
+        """The most probable."""
+        return self.fits[self.ordered[0]]
+
+    @property
+    def probabilities(self) -> dict[frozenset[str], float]:
+        """Posterior probability of every set among those that were fitted."""
+        logs = np.array([self.log_weight(effects) for effects in self.fits])
+        weights = np.exp(logs - logs.max())
+        return dict(zip(self.fits, (weights / weights.sum()).tolist(), strict=True))
+
+    def inclusion(self, effects: frozenset[str]) -> float:
+        """Posterior probability that any of some effects is there."""
+        return sum(p for found, p in self.probabilities.items() if found & effects)
+
+
+class Searcher:
+    """Finds the sets that carry weight.
+
+    Args:
+        fitter: fits them.
+        comparison: where what was fitted is kept.
+        modifies: effect → effects of which it needs one beside it.
+        told: called before every fit.
+    """
+
+    def __init__(
+        self, fitter: Fitter, comparison: Comparison,
+        modifies: Mapping[str, Sequence[str]] | None = None, told: Callable[[frozenset[str]], None] = lambda s: None,
+    ) -> None:  # fmt: skip
+        self.fitter, self.comparison = fitter, comparison
+        self.modifies, self.told = dict(modifies or {}), told
+        self.effects = sorted({u.key[0] for u in fitter.unknowns})
+
+    def search(self) -> Comparison:
+        """Fit sets until none that carries weight is left to extend."""
+        comparison = self.comparison
+        self.try_set(frozenset(), {})
+        extended: set[frozenset[str]] = set()
+        while len(extended) < MOST_SETS:
+            top = comparison.log_weight(comparison.ordered[0])
+            open_sets = [
+                s for s in comparison.ordered
+                if s not in extended and comparison.log_weight(s) > top - WIDTH and len(s) < MOST_EFFECTS
+            ]  # fmt: skip
+            if not open_sets or (len(extended) > 2 and comparison.ordered[0] in extended and open_sets[0] not in
+                                 comparison.ordered[:3]):
+                break
+            chosen = open_sets[0]
+            extended.add(chosen)
+            self.extend(chosen)
+            self.reduce(chosen)
+        self.exchange(comparison.ordered[0])
+        return comparison
+
+    def try_set(self, effects: frozenset[str], start: Point, scales: Scales | None = None) -> Fit:
+        """Fit a set and keep it."""
+        self.told(effects)
+        fit = self.fitter.fit(effects, start, scales)
+        self.comparison.add(fit)
+        return self.comparison.fits[effects]
+
+    def extend(self, effects: frozenset[str], barred: frozenset[str] = frozenset()) -> None:
+        """Fit every promising effect beside a set: all of them briefly, and those that may carry weight to the end."""
+        fit = self.comparison.fits[effects]
+        scales, brief = fit.posterior.scales, []
+        for effect, starts in self.propose(fit, barred):
+            self.told(effects | {effect})
+            fits = [self.fitter.fit(effects | {effect}, start, scales, BRIEF) for start in starts]
+            brief.append(max(fits, key=lambda each: each.evidence))
+        top = max([each.evidence for each in brief], default=0.0)
+        for each in brief:
+            if each.evidence > max(top - REACH * self.comparison.temper, fit.evidence - REACH):
+                self.try_set(each.effects, each.values, each.posterior.scales)
+            else:
+                self.comparison.add(each)
+
+    def reduce(self, effects: frozenset[str]) -> None:
+        """Fit a set without each of its effects."""
+        fit = self.comparison.fits[effects]
+        for effect in sorted(effects):
+            rest = effects - {effect}
+            if rest not in self.comparison.fits:
+                self.try_set(rest, {k: v for k, v in fit.values.items() if k[0] in rest}, fit.posterior.scales)
+
+    def exchange(self, effects: frozenset[str]) -> None:
+        """Fit others in the place of each effect of a set."""
+        self.reduce(effects)
+        for effect in sorted(effects):
+            self.extend(effects - {effect}, frozenset({effect}))
+
+    def propose(self, fit: Fit, barred: frozenset[str]) -> list[tuple[str, list[Point]]]:
+        """Effects worth fitting beside a fit, each with places to start from, most promising first."""
+        free = [
+            e for e in self.effects
+            if e not in fit.effects | barred and (not self.modifies.get(e) or set(self.modifies[e]) & fit.effects)
+        ]  # fmt: skip
+        starts = self.rank(fit, free)
+        # What these measurements tell nothing of would only be its prior.
+        names = [e for e in sorted(free, key=lambda e: (-starts[e][0][0], e)) if starts[e][0][0] > LEAST]
+        most = FEW if not fit.effects else PROMISING
+        return [(e, [point for gain, point in starts[e][:STARTS] if gain > LEAST]) for e in names[:most]]
+
+    def rank(self, fit: Fit, effects: Sequence[str]) -> dict[str, list[tuple[float, Point]]]:
+        """Half the square that effects would take away in the linear model, and parameters there, the best first."""
+        fitter, information = self.fitter, self.fitter.screen(fit)
+        unknowns, base = fitter.unknowns, float(information[-1, -1])
+        at = np.array([fit.values.get(u.key, u.mean) for u in unknowns])
+        old = [i for i, u in enumerate(unknowns) if u.key[0] in fit.effects]
+        found: dict[str, list[tuple[float, Point]]] = {}
+        for effect in effects:
+            rows = [*old, *(i for i, u in enumerate(unknowns) if u.key[0] == effect)]
+            chosen, kept = [unknowns[i] for i in rows], [*rows, -1]
+            mean, _, square = find_mode(information[np.ix_(kept, kept)], at[rows], fitter.prior_of(chosen))
+            found[effect] = [(0.5 * (base - square), {u.key: float(v) for u, v in zip(chosen, mean)})]
+        rest = fitter.prior_of([unknowns[i] for i in old])
+        for number, trial in enumerate(fitter.trials):
+            if trial.effect not in found:
+                continue
+            kept = [*old, len(unknowns) + number, -1]
+            low, high = (0.0, MOST_TIMES) if trial.scales else (1.0, 1.0)
+            prior = Prior(*(np.append(a, b) for a, b in zip((rest.mean, rest.std, rest.low, rest.high),
+                                                            (0.0, MOST_TIMES, low, high))))  # fmt: skip
+            mean, _, square = find_mode(information[np.ix_(kept, kept)], np.append(at[old], 0.0), prior)
+            point = {unknowns[i].key: float(v) for i, v in zip(old, mean)} | dict(trial.values)
+            if trial.scales:
+                unknown = trial.scales
+                value = unknown.mean + mean[-1] * (trial.values[unknown.key] - unknown.mean)
+                point[unknown.key] = float(np.clip(value, unknown.low, unknown.high))
+            found[trial.effect].append((0.5 * (base - square), point))
+        return {effect: sorted(rows, key=lambda row: -row[0]) for effect, rows in found.items()}
