@@ -147,9 +147,20 @@ class Fitter:
         slopes = changed[: len(at)] / np.where(steps == 0.0, 1.0, steps)[:, None, None]
         return slopes, at, changed[len(at) :]
 
+    def slopes_about(self, values: Point) -> np.ndarray:
+        """Slopes by every parameter about a point, (P, K, M)."""
+        if not values:
+            return self.nominal[0]
+        at = np.array([values.get(u.key, u.mean) for u in self.unknowns])
+        moved = np.array([np.clip(v + u.step(v), u.low, u.high) for u, v in zip(self.unknowns, at)])
+        points = [dict(values), *({**values, u.key: float(v)} for u, v in zip(self.unknowns, moved))]
+        residuals = self.simulator.residuals(points, values)
+        steps = moved - at
+        return (residuals[0] - residuals[1:]) / np.where(steps == 0.0, 1.0, steps)[:, None, None]
+
     def screen(self, fit: Fit) -> np.ndarray:
         """Inner products of all parameters, all trials and what a fit misses, (P + T + 1, P + T + 1), under its noise."""
-        slopes, _, changed = self.nominal
+        slopes, changed = self.slopes_about(fit.values), self.nominal[2]
         simulator, scales = self.simulator, fit.posterior.scales
         noise = simulator.noise.copy()
         for columns, scale in zip(simulator.columns, np.exp(scales.sensor)):

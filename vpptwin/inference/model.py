@@ -142,7 +142,7 @@ class Windows:
     def weigh(self, scales: Scales) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same, summed over channels by what their noise is: (K, N, N), (K, N, P + 1), (K, P + 1, P + 1)."""
         weight, count, free = np.exp(-2.0 * scales.sensor), len(self.counts), len(self.at) + 1
-        noise, across, outer = (np.einsum("kcx,c->kx", block, weight) for block in self._blocks)
+        noise, across, outer = (weight @ block for block in self._blocks)
         size = self.products.shape[-1] - free
         return noise.reshape(count, size, size), across.reshape(count, size, free), outer.reshape(count, free, free)
 
@@ -252,9 +252,10 @@ def infer(windows: Windows, prior: Prior, scale_prior: ScalePrior, start: Scales
         pulses = noise * e.size
         shrunk = inverse * e.size * e.size[:, None] + pulses[:, :, None] * pulses[:, None, :]
         # d (log det + square) / d log σ of a channel = 2 (values - trace of N⁻¹ - squares left at the posterior mean).
-        spent = np.einsum("kcx,kx->c", noises, shrunk.reshape(len(noise), -1))
-        spent -= 2.0 * np.einsum("kcx,kx->c", across, (pulses[:, :, None] * left).reshape(len(noise), -1))
-        spent += np.einsum("kcx,x->c", outer, np.outer(left, left).ravel())
+        count = len(noise)
+        spent = (noises @ shrunk.reshape(count, -1, 1)).sum(axis=(0, 2))
+        spent -= 2.0 * (across @ (pulses[:, :, None] * left).reshape(count, -1, 1)).sum(axis=(0, 2))
+        spent += (outer @ np.outer(left, left).ravel()).sum(axis=0)
         sensor = 2.0 * windows.counts.sum(axis=0) - 2.0 * np.exp(-2.0 * scales.sensor) * spent
         by_sensor, by_process = scale_prior.slope(scales)
         slope = np.concatenate([sensor + by_sensor, process + by_process])

@@ -10,7 +10,7 @@ import numpy as np
 from vpptwin.inference.fit import Fit, Fitter, Point
 from vpptwin.inference.model import Prior, Scales, find_mode
 
-FEW, PROMISING = 16, 8
+FEW, PROMISING = 14, 7
 """Candidates that are fitted by themselves, and beside others, at most."""
 MOST_TIMES = 10.0
 """Times that a trial may be as strong."""
@@ -20,10 +20,8 @@ LEAST = 0.5
 """Half of a square that an effect must take away to be fitted at all."""
 STARTS = 2
 """Places from which a candidate is fitted."""
-WIDTH = 12.0
-"""Sets whose log weight is so far below the best are not extended (Occam's window; Madigan and Raftery, 1994)."""
-MOST_EFFECTS, MOST_SETS = 6, 14
-"""Effects in a set at most, and sets that are extended at most."""
+MOST_EFFECTS, MOST_SETS = 6, 12
+"""Effects in a set at most, and times that the most probable set is extended or exchanged at most."""
 
 
 @dataclass
@@ -89,27 +87,22 @@ class Searcher:
     ) -> None:  # fmt: skip
         self.fitter, self.comparison = fitter, comparison
         self.modifies, self.told = dict(modifies or {}), told
+        self.extended: set[frozenset[str]] = set()
+        self.exchanged: set[frozenset[str]] = set()
         self.effects = sorted({u.key[0] for u in fitter.unknowns})
 
     def search(self) -> Comparison:
         """Fit sets until none that carries weight is left to extend."""
         comparison = self.comparison
         self.try_set(frozenset(), {})
-        extended: set[frozenset[str]] = set()
-        while len(extended) < MOST_SETS:
-            top = comparison.log_weight(comparison.ordered[0])
-            open_sets = [
-                s for s in comparison.ordered
-                if s not in extended and comparison.log_weight(s) > top - WIDTH and len(s) < MOST_EFFECTS
-            ]  # fmt: skip
-            if not open_sets or (len(extended) > 2 and comparison.ordered[0] in extended and open_sets[0] not in
-                                 comparison.ordered[:3]):
+        for _ in range(MOST_SETS):
+            best = comparison.ordered[0]
+            if best not in self.extended and len(best) < MOST_EFFECTS:
+                self.extend(best)
+            elif best and best not in self.exchanged:
+                self.exchange(best)
+            else:
                 break
-            chosen = open_sets[0]
-            extended.add(chosen)
-            self.extend(chosen)
-            self.reduce(chosen)
-        self.exchange(comparison.ordered[0])
         return comparison
 
     def try_set(self, effects: frozenset[str], start: Point, scales: Scales | None = None) -> Fit:
@@ -122,6 +115,7 @@ class Searcher:
     def extend(self, effects: frozenset[str], barred: frozenset[str] = frozenset()) -> None:
         """Fit every promising effect beside a set: all of them briefly, and those that may carry weight to the end."""
         fit = self.comparison.fits[effects]
+        self.extended.add(effects)
         scales, brief = fit.posterior.scales, []
         for effect, starts in self.propose(fit, barred):
             self.told(effects | {effect})
@@ -144,9 +138,11 @@ class Searcher:
 
     def exchange(self, effects: frozenset[str]) -> None:
         """Fit others in the place of each effect of a set."""
+        self.exchanged.add(effects)
         self.reduce(effects)
         for effect in sorted(effects):
-            self.extend(effects - {effect}, frozenset({effect}))
+            if effects - {effect} not in self.extended:
+                self.extend(effects - {effect}, frozenset({effect}))
 
     def propose(self, fit: Fit, barred: frozenset[str]) -> list[tuple[str, list[Point]]]:
         """Effects worth fitting beside a fit, each with places to start from, most promising first."""
