@@ -102,5 +102,6 @@ def name_unknown(suspect: Suspect) -> Unknown:
     """A suspect as `inference` asks for it."""
     parameter = suspect.parameter
     return Unknown(
-        suspect.key, suspect.nominal, suspect.width, parameter.low, parameter.high, suspect.step_from
+        suspect.key, suspect.nominal, suspect.width, parameter.low, parameter.high, suspect.step_from,
+        0.0 if suspect.is_limit else parameter.tolerance,
     )

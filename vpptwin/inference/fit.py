@@ -16,6 +16,12 @@ Key = tuple[str, str]
 Point = Mapping[Key, float]
 STEPS, SHORTEST = 6, 0.1
 """Steps of Gauss-Newton at most, and the shortest stride."""
+WIDEST = 3.0
+"""Tolerances by which what is not suspected may be off."""
+NOTICED = 0.5
+"""Square of the signal to noise from which a tolerance is noticed."""
+AFFORDABLE = 2_000_000
+"""Values up to which trials are simulated anew beside every fit; beyond, they are as beside nothing."""
 SETTLED = 0.15
 """Gain of log evidence under which a fit has settled."""
 
@@ -30,6 +36,7 @@ class Unknown:
         std: width of its prior.
         low, high: bounds.
         step: difference by which a derivative is taken from a value.
+        tolerance: standard deviation where its effect is not suspected: what a well-built rig shows unremarked.
     """
 
     key: Key
@@ -38,6 +45,7 @@ class Unknown:
     low: float
     high: float
     step: Callable[[float], float]
+    tolerance: float = 0.0
 
 
 class Simulator(Protocol):
@@ -77,7 +85,7 @@ class Fit:
     Attributes:
         effects: that are free.
         values: of their parameters.
-        posterior: of those, in the order of `values`.
+        posterior: of those, in the order of `values`, and then of what is within its tolerance.
         windows: compressed about `values`.
         prior: of the parameters.
     """
@@ -96,7 +104,7 @@ class Fit:
     @property
     def std(self) -> dict[Key, float]:
         """Standard deviation of every parameter."""
-        return dict(zip(self.values, np.sqrt(np.diag(self.posterior.covariance)), strict=True))
+        return dict(zip(self.values, np.sqrt(np.diag(self.posterior.covariance)).tolist()))
 
 
 class Fitter:
@@ -111,14 +119,30 @@ class Fitter:
         return [u for u in self.unknowns if u.key[0] in effects]
 
     def linearise(self, values: Point, unknowns: Sequence[Unknown]) -> Windows:
-        """Windows about a point, with derivatives by some parameters."""
+        """Windows about a point: derivatives by some parameters, and those of what is within its tolerance."""
+        residual, slopes, at = self.differentiate(values, unknowns)
+        effects = {u.key[0] for u in unknowns}
+        loose = [i for i in self.tolerated if self.unknowns[i].key[0] not in effects]
+        slopes = np.concatenate([slopes, self.nominal[0][loose]]) if loose else slopes
+        at = np.concatenate([at, [self.unknowns[i].mean for i in loose]])
+        return self.compress(slopes, residual, at, self.simulator.respond(values))
+
+    def differentiate(self, values: Point, unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residual (K, M) at a point, derivatives of the simulation by parameters, (P, K, M), and where, (P,)."""
         at = np.array([values.get(u.key, u.mean) for u in unknowns])
-        moved = [float(np.clip(v + u.step(v), u.low, u.high)) for u, v in zip(unknowns, at)]
-        points = [dict(values), *({**values, u.key: there} for u, there in zip(unknowns, moved))]
-        residuals = self.simulator.residuals(points, values)
-        steps = np.array(moved) - at
-        slopes = (residuals[0] - residuals[1:]) / np.where(steps == 0.0, 1.0, steps)[:, None, None]
-        return self.compress(slopes, residuals[0], at, self.simulator.respond(values))
+        moved = np.array([np.clip(v + u.step(v), u.low, u.high) for u, v in zip(unknowns, at)])
+        points = [dict(values), *({**values, u.key: float(v)} for u, v in zip(unknowns, moved))]
+        residuals, steps = self.simulator.residuals(points, values), moved - at
+        return residuals[0], (residuals[0] - residuals[1:]) / np.where(steps == 0.0, 1.0, steps)[:, None, None], at
+
+    @cached_property
+    def tolerated(self) -> list[int]:
+        """Parameters whose tolerance these measurements would notice."""
+        noise = self.simulator.noise
+        return [
+            i for i, u in enumerate(self.unknowns)
+            if u.tolerance > 0.0 and float((((self.nominal[0][i] * u.tolerance) / noise) ** 2).sum()) > NOTICED
+        ]  # fmt: skip
 
     def compress(
         self, slopes: np.ndarray, residual: np.ndarray, at: np.ndarray, response: tuple[np.ndarray, np.ndarray]
@@ -128,47 +152,39 @@ class Fitter:
         given = at, simulator.process, simulator.noise, simulator.columns
         return Windows.compress(slopes, *response, residual, *given)
 
-    @staticmethod
-    def prior_of(unknowns: Sequence[Unknown]) -> Prior:
-        """The prior of some parameters."""
-        return Prior(*(np.array([getattr(u, name) for u in unknowns]) for name in ("mean", "std", "low", "high")))
+    def prior_of(self, unknowns: Sequence[Unknown]) -> Prior:
+        """The prior of some parameters, and of what is within its tolerance beside them, as `linearise` has them."""
+        effects = {u.key[0] for u in unknowns}
+        loose = [self.unknowns[i] for i in self.tolerated if self.unknowns[i].key[0] not in effects]
+        rows = [(u.mean, u.std, u.low, u.high) for u in unknowns]
+        reach = [(u, WIDEST * u.tolerance) for u in loose]
+        rows += [(u.mean, u.tolerance, max(u.low, u.mean - r), min(u.high, u.mean + r)) for u, r in reach]
+        return Prior(*np.array(rows).reshape(-1, 4).T)
 
     @cached_property
-    def nominal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes by every parameter about the nominal point, (P, K, M), where taken, (P,), and trials' changes, (T, K, M).
-
-        What is fitted takes its own slopes anew; these only say what is worth fitting.
-        """
-        at = np.array([u.mean for u in self.unknowns])
-        moved = np.array([np.clip(v + u.step(v), u.low, u.high) for u, v in zip(self.unknowns, at)])
-        points = [{}, *({u.key: float(v)} for u, v in zip(self.unknowns, moved)), *(t.values for t in self.trials)]
-        residuals = self.simulator.residuals(points, {})
-        changed, steps = residuals[0] - residuals[1:], moved - at
-        slopes = changed[: len(at)] / np.where(steps == 0.0, 1.0, steps)[:, None, None]
-        return slopes, at, changed[len(at) :]
-
-    def slopes_about(self, values: Point) -> np.ndarray:
-        """Slopes by every parameter about a point, (P, K, M)."""
-        if not values:
-            return self.nominal[0]
-        at = np.array([values.get(u.key, u.mean) for u in self.unknowns])
-        moved = np.array([np.clip(v + u.step(v), u.low, u.high) for u, v in zip(self.unknowns, at)])
-        points = [dict(values), *({**values, u.key: float(v)} for u, v in zip(self.unknowns, moved))]
-        residuals = self.simulator.residuals(points, values)
-        steps = moved - at
-        return (residuals[0] - residuals[1:]) / np.where(steps == 0.0, 1.0, steps)[:, None, None]
+    def nominal(self) -> tuple[np.ndarray, np.ndarray]:
+        """Slopes by every parameter about the nominal point, (P, K, M), and changes by trials, (T, K, M)."""
+        _, slopes, _ = self.differentiate({}, self.unknowns)
+        if not self.trials:
+            return slopes, np.empty((0, *slopes.shape[1:]))
+        residuals = self.simulator.residuals([{}, *(t.values for t in self.trials)], {})
+        return slopes, residuals[0] - residuals[1:]
 
     def screen(self, fit: Fit) -> np.ndarray:
         """Inner products of all parameters, all trials and what a fit misses, (P + T + 1, P + T + 1), under its noise."""
-        slopes, changed = self.slopes_about(fit.values), self.nominal[2]
-        simulator, scales = self.simulator, fit.posterior.scales
+        simulator, scales, values = self.simulator, fit.posterior.scales, fit.values
+        residual, slopes, _ = self.differentiate(values, self.unknowns)
+        changed = self.nominal[1]
+        if values and len(self.trials) * residual.size < AFFORDABLE:
+            points = [dict(values), *({**values, **t.values} for t in self.trials)]
+            residuals = simulator.residuals(points, values)
+            changed = residuals[0] - residuals[1:]
         noise = simulator.noise.copy()
         for columns, scale in zip(simulator.columns, np.exp(scales.sensor)):
             noise[:, columns] *= scale
-        residual = simulator.residuals([fit.values], fit.values)[0]
         every = np.concatenate([slopes, changed])
         given = np.zeros(len(every)), simulator.process, noise, [slice(None)]
-        windows = Windows.compress(every, *simulator.respond(fit.values), residual, *given)
+        windows = Windows.compress(every, *simulator.respond(values), residual, *given)
         return windows.eliminate(Scales(np.zeros(1), scales.process)).information.sum(axis=0)
 
     def fit(self, effects: frozenset[str], start: Point, scales: Scales | None = None, steps: int = STEPS) -> Fit:
@@ -183,7 +199,7 @@ class Fitter:
         scales, best, stride, ahead = scales or scale_prior.start, None, 1.0, np.empty(0)
         for _ in range(steps if unknowns else 1):
             windows = self.linearise(values, unknowns)
-            here = infer(windows, prior, scale_prior, scales, moving=False)
+            here = infer(windows, prior, scale_prior, scales, np.arange(len(windows.at)) < len(unknowns))
             there = infer(windows, prior, scale_prior, here.scales) if unknowns else here
             penalised = Posterior(here.mean, there.precision, here.deviance, there.penalty, here.scales)
             fit = Fit(effects, values, penalised, windows, prior)
@@ -197,8 +213,8 @@ class Fitter:
                 if stride < SHORTEST:
                     break
             at = best.windows.at if best else windows.at
-            moved = np.clip(at + stride * (ahead - at), prior.low, prior.high)  # rounding may lead past a bound
-            if np.allclose(moved, windows.at, rtol=1e-9, atol=0.0):
+            moved = np.clip(at + stride * (ahead - at), prior.low, prior.high)[: len(unknowns)]
+            if np.allclose(moved, windows.at[: len(unknowns)], rtol=1e-9, atol=0.0):
                 break
             values = {u.key: float(v) for u, v in zip(unknowns, moved)}
         assert best is not None

@@ -15,6 +15,8 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import lsq_linear, minimize
 
+ROUNDING = 1e-12
+"""Added to the diagonal of matrices that are scaled to ones there."""
 SETTLED = {"ftol": 1e-6, "gtol": 0.02}
 MAX_SEARCH = 40
 """Steps at most of the search for noise scales."""
@@ -152,10 +154,13 @@ class Windows:
         size = np.concatenate([np.ones(self.states), np.exp(scales.process)[self.process]])
         inner = noise * size * size[:, None] + np.eye(len(size))
         across = across * size[:, None]
-        root = np.linalg.cholesky(inner)
-        solved = np.linalg.solve(inner, across)
+        unit = 1.0 / np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
+        even = inner * unit[:, :, None] * unit[:, None, :] + ROUNDING * np.eye(len(size))
+        root = np.linalg.cholesky(even)
+        solved = unit[:, :, None] * np.linalg.solve(even, unit[:, :, None] * across)
         information = outer - np.swapaxes(across, 1, 2) @ solved
-        logdet = 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) + 2.0 * self.counts @ scales.sensor
+        logdet = 2.0 * (np.log(np.diagonal(root, axis1=1, axis2=2)) - np.log(unit)).sum(axis=1)
+        logdet += 2.0 * self.counts @ scales.sensor
         return Eliminated(information, logdet, inner, solved, size)
 
 
@@ -224,7 +229,9 @@ def find_mode(information: np.ndarray, at: np.ndarray, prior: Prior) -> tuple[np
     return at + step, precision, float(square + away @ away)
 
 
-def infer(windows: Windows, prior: Prior, scale_prior: ScalePrior, start: Scales, moving: bool = True) -> Posterior:
+def infer(
+    windows: Windows, prior: Prior, scale_prior: ScalePrior, start: Scales, held: np.ndarray | None = None
+) -> Posterior:
     """Posterior of parameters with the most probable noise scales.
 
     Args:
@@ -232,11 +239,11 @@ def infer(windows: Windows, prior: Prior, scale_prior: ScalePrior, start: Scales
         prior: of the parameters.
         scale_prior: of the noise scales.
         start: scales from which the search begins.
-        moving: whether parameters move; else they are judged where they are.
+        held: which parameters stay where they are, (P,) bool; None for none.
     """
     channels, at = windows.counts.shape[1], windows.at
-    still = windows if moving else windows.restrict(np.empty(0, int))
-    own = prior if moving else prior.take(np.empty(0, int))
+    held = np.zeros(len(at), bool) if held is None else held
+    still, own = windows.restrict(np.flatnonzero(~held)), prior.take(~held)
 
     def deviance(x: np.ndarray) -> tuple[float, np.ndarray]:
         scales = Scales(x[:channels], x[channels:])
@@ -266,13 +273,14 @@ def infer(windows: Windows, prior: Prior, scale_prior: ScalePrior, start: Scales
     x0 = np.clip(x0, *np.array(bounds).T)
     found = minimize(deviance, x0, jac=True, method="L-BFGS-B", bounds=bounds, options=SETTLED | {"maxiter": MAX_SEARCH})
     scales = Scales(found.x[:channels], found.x[channels:])
-    e = windows.eliminate(scales)
-    total = e.information.sum(axis=0)
-    mean, precision, square = find_mode(total, at, prior)
-    if not moving:
-        mean, away = at, (at - prior.mean) / prior.std
-        square = float(total[-1, -1] + away @ away)
-    cost = square + float(e.logdet.sum()) + scale_prior.cost(scales)
+    total = windows.eliminate(scales)
+    information = total.information.sum(axis=0)
+    free = np.append(np.flatnonzero(~held), len(at))
+    mean = at.copy()
+    mean[~held], _, square = find_mode(information[np.ix_(free, free)], still.at, own)
+    away = ((at - prior.mean) / prior.std)[held]
+    cost = square + float(away @ away) + float(total.logdet.sum()) + scale_prior.cost(scales)
+    precision = information[:-1, :-1] + np.diag(prior.std**-2)
     penalty = float(np.linalg.slogdet(precision * prior.std * prior.std[:, None])[1]) if len(at) else 0.0
     return Posterior(mean, precision, cost, penalty, scales)
 

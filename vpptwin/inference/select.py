@@ -159,24 +159,34 @@ class Searcher:
     def rank(self, fit: Fit, effects: Sequence[str]) -> dict[str, list[tuple[float, Point]]]:
         """Half the square that effects would take away in the linear model, and parameters there, the best first."""
         fitter, information = self.fitter, self.fitter.screen(fit)
-        unknowns, base = fitter.unknowns, float(information[-1, -1])
-        at = np.array([fit.values.get(u.key, u.mean) for u in unknowns])
+        unknowns, last = fitter.unknowns, len(information) - 1
+        at = np.array([fit.values.get(u.key, u.mean) for u in unknowns] + [0.0] * len(fitter.trials))
         old = [i for i, u in enumerate(unknowns) if u.key[0] in fit.effects]
+
+        def solve(rows: list[int], extra: tuple[float, ...] = ()) -> tuple[float, np.ndarray]:
+            """Square that is left with parameters, one trial perhaps, and tolerances free; most probable values."""
+            effects = {unknowns[i].key[0] for i in rows}
+            loose = [i for i in fitter.tolerated if unknowns[i].key[0] not in effects]
+            prior = fitter.prior_of([unknowns[i] for i in rows])
+            if extra:
+                prior = Prior(*(np.append(a, b) for a, b in zip(
+                    (prior.mean, prior.std, prior.low, prior.high), extra[1:]
+                )))  # fmt: skip
+            kept = [*rows, *loose, *(int(e) for e in extra[:1])]
+            mean, _, square = find_mode(information[np.ix_([*kept, last], [*kept, last])], at[kept], prior)
+            return square, mean
+
+        base = solve(old)[0]
         found: dict[str, list[tuple[float, Point]]] = {}
         for effect in effects:
-            rows = [*old, *(i for i, u in enumerate(unknowns) if u.key[0] == effect)]
-            chosen, kept = [unknowns[i] for i in rows], [*rows, -1]
-            mean, _, square = find_mode(information[np.ix_(kept, kept)], at[rows], fitter.prior_of(chosen))
-            found[effect] = [(0.5 * (base - square), {u.key: float(v) for u, v in zip(chosen, mean)})]
-        rest = fitter.prior_of([unknowns[i] for i in old])
+            rows = old + [i for i, u in enumerate(unknowns) if u.key[0] == effect]
+            square, mean = solve(rows)
+            found[effect] = [(0.5 * (base - square), {unknowns[i].key: float(v) for i, v in zip(rows, mean)})]
         for number, trial in enumerate(fitter.trials):
             if trial.effect not in found:
                 continue
-            kept = [*old, len(unknowns) + number, -1]
             low, high = (0.0, MOST_TIMES) if trial.scales else (1.0, 1.0)
-            prior = Prior(*(np.append(a, b) for a, b in zip((rest.mean, rest.std, rest.low, rest.high),
-                                                            (0.0, MOST_TIMES, low, high))))  # fmt: skip
-            mean, _, square = find_mode(information[np.ix_(kept, kept)], np.append(at[old], 0.0), prior)
+            square, mean = solve(old, (len(unknowns) + number, 0.0, MOST_TIMES, low, high))
             point = {unknowns[i].key: float(v) for i, v in zip(old, mean)} | dict(trial.values)
             if trial.scales:
                 unknown = trial.scales
