@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from vpptwin.inference.model import Posterior, Prior, ScalePrior, Scales, Windows, infer
+from vpptwin.inference.model import Layout, Posterior, Prior, ScalePrior, Scales, Windows, infer
 
 Key = tuple[str, str]
 """Effect id and parameter name."""
@@ -149,8 +149,9 @@ class Fitter:
     ) -> Windows:
         """Windows from derivatives (P, K, M) and a residual (K, M)."""
         simulator = self.simulator
-        given = at, simulator.process, simulator.noise, simulator.columns
-        return Windows.compress(slopes, *response, residual, *given)
+        states, pushes = response
+        layout = Layout(simulator.noise, simulator.columns, simulator.process)
+        return Windows.compress(slopes, states, pushes, residual, at, layout)
 
     def prior_of(self, unknowns: Sequence[Unknown]) -> Prior:
         """The prior of some parameters, and of what is within its tolerance beside them, as `linearise` has them."""
@@ -171,7 +172,7 @@ class Fitter:
         return slopes, residuals[0] - residuals[1:]
 
     def screen(self, fit: Fit) -> np.ndarray:
-        """Inner products of all parameters, all trials and what a fit misses, (P + T + 1, P + T + 1), under its noise."""
+        """Inner products of parameters, trials and what a fit misses, (P + T + 1, P + T + 1), under its noise."""
         simulator, scales, values = self.simulator, fit.posterior.scales, fit.values
         residual, slopes, _ = self.differentiate(values, self.unknowns)
         changed = self.nominal[1]
@@ -183,8 +184,9 @@ class Fitter:
         for columns, scale in zip(simulator.columns, np.exp(scales.sensor)):
             noise[:, columns] *= scale
         every = np.concatenate([slopes, changed])
-        given = np.zeros(len(every)), simulator.process, noise, [slice(None)]
-        windows = Windows.compress(every, *simulator.respond(values), residual, *given)
+        states, pushes = simulator.respond(values)
+        layout = Layout(noise, [slice(None)], simulator.process)
+        windows = Windows.compress(every, states, pushes, residual, np.zeros(len(every)), layout)
         return windows.eliminate(Scales(np.zeros(1), scales.process)).information.sum(axis=0)
 
     def fit(self, effects: frozenset[str], start: Point, scales: Scales | None = None, steps: int = STEPS) -> Fit:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import lsq_linear, minimize
@@ -89,6 +90,14 @@ class Prior:
         return Prior(self.mean[chosen], self.std[chosen], self.low[chosen], self.high[chosen])
 
 
+class Layout(NamedTuple):
+    """How M measured values of K windows lie side by side."""
+
+    noise: np.ndarray  # their assumed standard deviation, (K, M); infinite where nothing was measured
+    columns: Sequence[slice]  # where every channel lies among the M
+    process: np.ndarray  # degree of freedom of every force pulse, (G,)
+
+
 @dataclass(frozen=True, eq=False)
 class Windows:
     """K windows about one point, as inner products.
@@ -110,17 +119,14 @@ class Windows:
     @classmethod
     def compress(
         cls, slopes: np.ndarray, states: np.ndarray, pushes: np.ndarray, residual: np.ndarray, at: np.ndarray,
-        process: np.ndarray, noise: np.ndarray, columns: Sequence[slice],
+        layout: Layout,
     ) -> Windows:  # fmt: skip
-        """From slopes (P, K, M), columns X (K, M, S) and U (K, M, G), a residual and its assumed noise, (K, M) each.
-
-        The noise is infinite where nothing was measured.
-        """
+        """From slopes (P, K, M) at a point (P,), columns X (K, M, S) and U (K, M, G), and a residual (K, M)."""
         design = np.concatenate([np.moveaxis(slopes, 0, -1), states, pushes, residual[..., None]], axis=2)
-        design = design / noise[..., None]
-        products = np.stack([np.swapaxes(design[:, c], 1, 2) @ design[:, c] for c in columns], axis=1)
-        counts = np.stack([np.isfinite(noise[:, c]).sum(axis=1) for c in columns], axis=1)
-        return cls(products, counts, at, states.shape[2], process)
+        design = design / layout.noise[..., None]
+        products = np.stack([np.swapaxes(design[:, c], 1, 2) @ design[:, c] for c in layout.columns], axis=1)
+        counts = np.stack([np.isfinite(layout.noise[:, c]).sum(axis=1) for c in layout.columns], axis=1)
+        return cls(products, counts, at, states.shape[2], layout.process)
 
     def take(self, rows: np.ndarray) -> Windows:
         """Some of the windows."""
@@ -271,7 +277,9 @@ def infer(
     x0 = np.concatenate([start.sensor, start.process])
     bounds = scale_prior.bounds
     x0 = np.clip(x0, *np.array(bounds).T)
-    found = minimize(deviance, x0, jac=True, method="L-BFGS-B", bounds=bounds, options=SETTLED | {"maxiter": MAX_SEARCH})
+    found = minimize(
+        deviance, x0, jac=True, method="L-BFGS-B", bounds=bounds, options=SETTLED | {"maxiter": MAX_SEARCH}
+    )
     scales = Scales(found.x[:channels], found.x[channels:])
     total = windows.eliminate(scales)
     information = total.information.sum(axis=0)

@@ -30,7 +30,7 @@ class BenchSimulator:
         self._responses: dict[Hashable, tuple[np.ndarray, np.ndarray]] = {}
         nv = bench.spec.model.nv
         self.noise = np.where(bench.valid, bench.std, np.inf)
-        self.columns = bench.columns
+        self.columns: Sequence[slice] = bench.columns
         self.process = np.tile(np.arange(nv), bench.segments)
         self.scale_prior = ScalePrior(
             np.array([SHEET if is_known(bench, i) else ASSUMED for i in range(len(bench.channels))]),
@@ -46,7 +46,7 @@ class BenchSimulator:
 
     def respond(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives by starting states and force pulses, in units of their priors."""
-        bench, loose = self.bench, self.loosen(point)
+        loose = self.loosen(point)
         key = frozenset(loose.items())
         if key not in self._responses:
             if len(self._responses) >= KEPT:
@@ -102,6 +102,11 @@ def name_unknown(suspect: Suspect) -> Unknown:
     """A suspect as `inference` asks for it."""
     parameter = suspect.parameter
     return Unknown(
-        suspect.key, suspect.nominal, suspect.width, parameter.low, parameter.high, suspect.step_from,
+        suspect.key,
+        suspect.nominal,
+        suspect.width,
+        parameter.low,
+        parameter.high,
+        suspect.step_from,
         0.0 if suspect.is_limit else parameter.tolerance,
     )

@@ -1,0 +1,43 @@
+"""Hypotheses about a twin compared on windows of logs: what `inference` finds, for a bench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.search.simulator import BenchSimulator, name_unknown
+from vpptwin.diagnosis.search.suspects import Trial as Start
+from vpptwin.diagnosis.search.suspects import Unknown as Suspect
+from vpptwin.diagnosis.search.suspects import list_trials
+from vpptwin.inference.fit import Fitter, Trial, Unknown
+from vpptwin.inference.select import Comparison, Searcher
+
+TEMPER = 2.0
+"""By which log evidence is divided: no twin is exact (see docs/inference.md)."""
+
+
+def compare_hypotheses(
+    bench: Bench, suspects: Sequence[Suspect], told: Callable[[frozenset[str]], None] = lambda effects: None
+) -> tuple[Comparison, Fitter]:
+    """Sets of effects fitted to a bench's windows, and their posterior probabilities.
+
+    Args:
+        bench: the windows, all that there are: none is held out.
+        suspects: parameters of all effects that are candidates.
+        told: called before every fit.
+    """
+    unknowns = {suspect.key: name_unknown(suspect) for suspect in suspects}
+    trials = [name_trial(start, unknowns) for start in list_trials(tuple(suspects), bench)]
+    fitter = Fitter(BenchSimulator(bench), list(unknowns.values()), trials)
+    effects = {suspect.effect.id: suspect.effect for suspect in suspects}
+    comparison = Comparison(TEMPER, -float(np.log(max(len(effects), 2))))
+    modifies = {name: effect.modifies for name, effect in effects.items() if effect.modifies}
+    return Searcher(fitter, comparison, modifies, told).search(), fitter
+
+
+def name_trial(start: Start, unknowns: dict[tuple[str, str], Unknown]) -> Trial:
+    """A place from which a fit may start, as `inference` asks for it."""
+    strength = None if start.limit else unknowns[next(iter(start.values))]
+    return Trial(start.effect, start.values, strength)
