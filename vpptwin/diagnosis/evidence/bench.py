@@ -43,9 +43,11 @@ class Bench(Runs):
     Attributes:
         followed: degrees of freedom whose starts, and those whose pulses, tracks of other twins follow, (nv,) each;
             None where all keep the track.
+        folds: which fold every window belongs to, (K,), and parameters as fitted to all other folds: those judge it.
     """
 
     followed: tuple[np.ndarray, np.ndarray] | None = None
+    folds: tuple[np.ndarray, Sequence[Mapping[Key, float]]] | None = None
 
     def __init__(
         self, spec: TwinSpec, windows: Windows, channels: Sequence[Channel], segments: int,
@@ -92,9 +94,15 @@ class Bench(Runs):
     def residual(self, values: Mapping[Key, float]) -> np.ndarray:
         """Measured less predicted by a twin with `values`, (K, C B); 0 where nothing was measured.
 
-        What the track does is in the prediction; `Response.restore` takes it out again.
+        What the track does is in the prediction; `Response.restore` takes it out again. Parameters that were fitted
+        fold by fold are, in every window, those of a fit that has not seen it.
         """
-        return self.miss(self.predict([Variation(dict(values))], values)[0])
+        if self.folds is None or not any(key in self.folds[1][0] for key in values):
+            return self.miss(self.predict([Variation(dict(values))], values)[0])
+        fold, fitted = self.folds
+        unseen = [{key: each.get(key, value) for key, value in values.items()} for each in fitted]
+        residuals = [self.miss(self.predict([Variation(each)], each)[0]) for each in unseen]
+        return np.stack(residuals)[fold, np.arange(len(fold))]
 
     def miss(self, predicted: np.ndarray) -> np.ndarray:
         """Measured less predicted, (..., K, C B); 0 where nothing was measured, far off where the twin went astray."""

@@ -79,7 +79,7 @@ def conclude(
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, {})
-        if guessed and (doubt := doubt_gain(held_out, rest, fit.values)):
+        if guessed and selection.probability is None and (doubt := doubt_gain(held_out, rest, fit.values)):
             doubts[effect] = doubts.get(effect, doubt) if doubt == UNFELT else doubt
         selected = selection.confidence(effect)
         confidence = min(sober * selected, criteria.suggested if effect in doubts else most)

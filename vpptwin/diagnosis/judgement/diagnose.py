@@ -12,10 +12,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
+from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import (
     HORIZONS_S,
     build_bench,
     choose_window,
+    list_starts,
     long_starts,
     split_flights,
     thin_out,
@@ -27,6 +29,7 @@ from vpptwin.diagnosis.evidence.runs import Key, MakeTwin
 from vpptwin.diagnosis.judgement.blows import Findings, judge_blows, strikes_on
 from vpptwin.diagnosis.judgement.conclusion import conclude
 from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.inferred import Inferred, infer_causes, rescale, select_inferred
 from vpptwin.diagnosis.judgement.leftover import judge_leftover
 from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
 from vpptwin.diagnosis.judgement.verdict import Cause, Cut, Experiment, Verdict
@@ -106,9 +109,11 @@ def diagnose(
     progress = deadline.watch(progress)
     # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
     with threadpool_limits(limits=1, user_api="blas"):
-        material = prepare(spec, flights, stage, progress, criteria, make_twin, contacts=causes is None, only=only)
+        material = prepare(spec, flights, stage, progress, criteria, make_twin, causes is None, only, deadline)
         spec = material.search.bench.spec
-        if causes is None:
+        if material.inferred is not None:
+            selection = select_inferred(material.inferred, material.search, material.held_out)
+        elif causes is None:
             selection = select_causes(material.search, material.held_out, stage, deadline)
         else:
             selection = impose_causes(material.search, causes)
@@ -177,11 +182,13 @@ class Material:
     search: Search
     held_out: HeldOut
     blows: Findings | None  # what they told, where they come first
+    inferred: Inferred | None = None  # what all windows told together, where no motion is followed
 
 
 def prepare(
     spec: TwinSpec, flights: Sequence[Flight], stage: Stage, progress: Callable[[int], None] | None,
     criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin, contacts: bool = False, only: Collection[str] = (),
+    deadline: Deadline | None = None,
 ) -> Material:  # fmt: skip
     """Cut flights into windows, choose those that judge, and linearise the twin about the others.
 
@@ -199,6 +206,11 @@ def prepare(
         spec = spec.with_effects({**spec.effects, **blows.effects})
     window = spec.robot.window
     unknowns = list_unknowns(spec, only)
+    if contacts and deadline is not None and not is_followed(spec):
+        inferred, measurements, search, held_out = infer(
+            spec, measurements, unknowns, stage, progress, criteria, make_twin, deadline
+        )
+        return Material(read, measurements, search, held_out, blows, inferred)
     judges: set[int] = set()
     if len(flights) > 1:
         stage("choosing the flights that judge")
@@ -214,6 +226,37 @@ def prepare(
     search = Search(bench, unknowns)
     held_out = open_held_out(spec, measurements, split.held_out, progress, criteria, make_twin)
     return Material(read, measurements, search, held_out, blows)
+
+
+def infer(
+    spec: TwinSpec, measurements: Sequence[Measurements], unknowns: tuple[Unknown, ...], stage: Stage,
+    progress: Callable[[int], None] | None, criteria: Criteria, make_twin: MakeTwin, deadline: Deadline,
+) -> tuple[Inferred, list[Measurements], Search, HeldOut]:  # fmt: skip
+    """Compare hypotheses on all windows; then the logs with the noise that was inferred, and benches of them."""
+    window = spec.robot.window
+    starts = list_starts(measurements, window)
+    stage("linearising the twin about the logs")
+    given = spec, measurements, thin_out(spec, starts), window, False, progress, criteria
+    inferred = infer_causes(build_bench(*given, make_twin=make_twin), unknowns, stage, deadline)
+    deadline.held = True
+    stage("judging every stretch by fits to the others")
+    calm = rescale(measurements, build_bench(*given, make_twin=make_twin), inferred.scales)
+    search = Search(build_bench(spec, calm, thin_out(spec, starts), window, False, progress, criteria,
+                                make_twin=make_twin), unknowns)  # fmt: skip
+    held_out = open_held_out(spec, calm, starts, progress, criteria, make_twin)
+    held_out.divide(*(deal(inferred, search.bench, bench) for bench in (held_out.short, held_out.errors.bench)))
+    return inferred, calm, search, held_out
+
+
+def deal(inferred: Inferred, fitted: Bench, bench: Bench) -> tuple[np.ndarray, list[dict[Key, float]]]:
+    """Folds of a bench's windows, each that of the fitted window which starts last before it."""
+    fold = np.empty(len(bench.windows), int)
+    for k, (flight, start) in enumerate(zip(bench.windows.flight, bench.windows.start)):
+        rows = np.flatnonzero(fitted.windows.flight == flight)
+        before = rows[fitted.windows.start[rows] <= start + 1e-9]
+        last = before[np.argmax(fitted.windows.start[before])] if len(before) else rows[0]
+        fold[k] = inferred.fold[last]
+    return fold, inferred.fitted
 
 
 def is_followed(spec: TwinSpec) -> bool:

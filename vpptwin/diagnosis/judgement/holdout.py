@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -18,6 +18,8 @@ from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gus
 from vpptwin.diagnosis.search.motion import follow_motion, shift_track
 from vpptwin.effects import find_effect
 
+Folds = tuple[np.ndarray, Sequence[Mapping[Key, float]]]
+"""Fold of every window, and parameters fitted to all other folds."""
 Values = frozenset[tuple[Key, float]]
 RESPONSES = 8
 """Responses that are kept, those asked for last: each has tens of megabytes."""
@@ -69,6 +71,11 @@ class HeldOut:
         self._surprises: dict[Hashable, np.ndarray] = {}
         self._plain = short.about(None)
         self._tracks: dict[Values, tuple[Response, np.ndarray, Track]] = {}
+
+    def divide(self, short: Folds, long: Folds) -> None:
+        """Judge every window by parameters of fits that have not seen it: see `Bench.folds`."""
+        for bench, folds in ((self.short, short), (self._plain, short), (self.errors.bench, long)):
+            bench.folds = folds
 
     @property
     def count(self) -> int:

@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from vpptwin.diagnosis.criteria import Criteria
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.rivals import (
     compare,
@@ -34,6 +35,14 @@ Stage = Callable[[str], None]
 
 
 @dataclass(frozen=True)
+class Alternative:
+    """Effects with their parameters that may be there instead."""
+
+    effects: frozenset[str]
+    values: Mapping[Key, float]
+
+
+@dataclass(frozen=True)
 class Selection:
     """The causes, and what speaks for and against each.
 
@@ -48,18 +57,20 @@ class Selection:
         reduced: whether others were left out of what is written, so that these were found beside what is not there.
         unrivalled: causes in whose place no other was fitted.
         not_done: what was left out as it was stopped, in words.
+        probability: cause → posterior probability that it is there, where all hypotheses were compared at once.
     """
 
     fit: Fit
     first: list[tuple[str, float]]
     rivals: dict[str, list[Rival]]
-    instead: dict[str, list[Fit]]
+    instead: dict[str, list[Alternative]]
     evidence: dict[str, float]
     left_out: frozenset[str] = frozenset()
     unconfirmed: frozenset[str] = frozenset()
     reduced: bool = False
     unrivalled: frozenset[str] = frozenset()
     not_done: tuple[str, ...] = ()
+    probability: Mapping[str, float] | None = None
 
     def reduce_to(self, fit: Fit) -> Selection:
         """The selection with a fit of fewer causes: with all of them held-out log was predicted worse."""
@@ -79,6 +90,8 @@ class Selection:
     def confidence(self, effect: str) -> float:
         """Probability that the cause is right, among its rivals and that nothing is there."""
         criteria = self.fit.frame.criteria
+        if self.probability is not None:
+            return min(self.probability[effect], criteria.most_confident)
         doubt = float(np.exp(-0.5 * min(max(self.evidence[effect], 0.0), 1400.0) / criteria.temper))
         others = sum(rival.confidence for rival in self.rivals[effect])
         return float(min((1.0 - others) * (1.0 - 0.5 * doubt), criteria.most_confident))
@@ -280,7 +293,8 @@ class Choosing:
     ) -> Selection:  # fmt: skip
         """The causes with their rivals."""
         rivals = {e: weigh_rivals(row, self.search.criteria, rough[e]) for e, row in evidence.items()}
-        instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
+        fits = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
+        instead = {e: [Alternative(f.effects, f.values) for f in row] for e, row in fits.items()}
         before = {effect: step.before for effect, step in replaced.items()}
         unconfirmed = {e for e, fit in before.items() if not confirms(self.search, self.held_out, fit, self.fit)}
         left_out = self.left_out - self.fit.effects
@@ -295,7 +309,7 @@ class Choosing:
             others = {name: found for name, found in short.items() if name not in fit.effects}
             rivals[effect] = weigh_rivals(others, self.search.criteria)
         not_done = ["looking for further causes", *(f"fitting others in the place of {e}" for e in evidence)]
-        instead, left_out = {effect: list[Fit]() for effect in evidence}, self.left_out - fit.effects
+        instead, left_out = {effect: list[Alternative]() for effect in evidence}, self.left_out - fit.effects
         given = fit, self.first, rivals, instead, evidence, left_out
         return Selection(*given, unrivalled=fit.effects, not_done=tuple(not_done))
 

@@ -13,20 +13,26 @@ from vpptwin.diagnosis.search.suspects import Unknown as Suspect
 from vpptwin.diagnosis.search.suspects import list_trials
 from vpptwin.inference.fit import Fitter, Trial, Unknown
 from vpptwin.inference.select import Comparison, Searcher
+from vpptwin.system.deadline import Deadline, Stopped
 
 TEMPER = 2.0
 """By which log evidence is divided: no twin is exact (see docs/inference.md)."""
 
 
 def compare_hypotheses(
-    bench: Bench, suspects: Sequence[Suspect], told: Callable[[frozenset[str]], None] = lambda effects: None
-) -> tuple[Comparison, Fitter]:
-    """Sets of effects fitted to a bench's windows, and their posterior probabilities.
+    bench: Bench, suspects: Sequence[Suspect], deadline: Deadline | None = None,
+    told: Callable[[frozenset[str]], None] = lambda effects: None,
+) -> tuple[Comparison, Fitter, bool]:  # fmt: skip
+    """Sets of effects fitted to a bench's windows with their posterior probabilities, and whether that was cut short.
 
     Args:
         bench: the windows, all that there are: none is held out.
         suspects: parameters of all effects that are candidates.
+        deadline: when to stop with what was found so far; None for never.
         told: called before every fit.
+
+    Raises:
+        Stopped: before every candidate has been tried once.
     """
     unknowns = {suspect.key: name_unknown(suspect) for suspect in suspects}
     trials = [name_trial(start, unknowns) for start in list_trials(tuple(suspects), bench)]
@@ -34,7 +40,19 @@ def compare_hypotheses(
     effects = {suspect.effect.id: suspect.effect for suspect in suspects}
     comparison = Comparison(TEMPER, -float(np.log(max(len(effects), 2))))
     modifies = {name: effect.modifies for name, effect in effects.items() if effect.modifies}
-    return Searcher(fitter, comparison, modifies, told).search(), fitter
+    deadline = deadline or Deadline()
+
+    def tell(tried: frozenset[str]) -> None:
+        deadline.worth = any(len(each) > 1 for each in (*comparison.fits, tried))
+        told(tried)
+
+    try:
+        Searcher(fitter, comparison, modifies, tell).search()
+    except Stopped:
+        if not deadline.worth:
+            raise
+        return comparison, fitter, True
+    return comparison, fitter, False
 
 
 def name_trial(start: Start, unknowns: dict[tuple[str, str], Unknown]) -> Trial:

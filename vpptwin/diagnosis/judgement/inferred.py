@@ -1,0 +1,172 @@
+"""Causes by comparing hypotheses on all windows of the logs, each judged by fits to other stretches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.evidence.runs import Key
+from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.selection import Alternative, Selection
+from vpptwin.diagnosis.judgement.verdict import Rival
+from vpptwin.diagnosis.search.hypotheses import compare_hypotheses
+from vpptwin.diagnosis.search.search import Search
+from vpptwin.diagnosis.search.suspects import Unknown
+from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.inference.fit import Fit, Fitter
+from vpptwin.inference.model import Scales, predict_folds
+from vpptwin.inference.select import Comparison
+from vpptwin.system.deadline import Deadline
+
+FOLDS = 6
+"""Parts of the logs, each judged by fits to the others."""
+STRETCHES = 3
+"""Stretches of time that a fold has at most."""
+CLOSE = 3.0
+"""Sigma within which a rival is reported."""
+LEAST = 0.01
+"""Probability from which it is."""
+
+
+@dataclass(frozen=True)
+class Inferred:
+    """What was inferred from all windows.
+
+    Attributes:
+        comparison: sets of effects with their fits.
+        chosen: the set that becomes the causes.
+        fold: of every window, (K,).
+        fitted: parameters of the chosen set as fitted to all folds but one, fold by fold.
+        gains: cause → gain of out-of-fold log predictive density that it brings beside the others.
+        stopped: whether the search was cut short.
+    """
+
+    comparison: Comparison
+    chosen: Fit
+    fold: np.ndarray
+    fitted: list[dict[Key, float]]
+    gains: dict[str, float]
+    stopped: bool
+
+    @property
+    def scales(self) -> Scales:
+        """Noise that the causes leave."""
+        return self.chosen.posterior.scales
+
+
+def cut_folds(flight: np.ndarray, start: np.ndarray, window: float) -> np.ndarray:
+    """Fold of windows that start at times [s] of flights, (K,): stretches of time are dealt out in turn."""
+    stretch = np.zeros(len(start), int)
+    count = max(min(FOLDS * STRETCHES, len(start)), 1)
+    total = sum(np.ptp(start[flight == f]) + window for f in np.unique(flight))
+    length, first = total / count, 0
+    for f in np.unique(flight):
+        rows = flight == f
+        stretch[rows] = first + ((start[rows] - start[rows].min()) / length + 1e-9).astype(int)
+        first = int(stretch[rows].max()) + 1
+    return stretch % min(FOLDS, max(first, 1))
+
+
+def infer_causes(
+    bench: Bench, unknowns: Sequence[Unknown], stage: Callable[[str], None], deadline: Deadline
+) -> Inferred:
+    """Compare hypotheses on a bench of all windows.
+
+    Raises:
+        Stopped: before every candidate has been tried once.
+    """
+
+    def tell(effects: frozenset[str]) -> None:
+        stage(f"comparing hypotheses ({', '.join(sorted(effects)) or 'nothing wrong'})")
+
+    comparison, fitter, stopped = compare_hypotheses(bench, unknowns, deadline, tell)
+    windows = bench.windows
+    fold = cut_folds(windows.flight, windows.start, windows.steps * windows.dt)
+    deadline.held, held = True, deadline.held
+    chosen, gains, fitted = confirm(fitter, comparison, fold)
+    deadline.held = held
+    return Inferred(comparison, chosen, fold, fitted, gains, stopped)
+
+
+def confirm(
+    fitter: Fitter, comparison: Comparison, fold: np.ndarray
+) -> tuple[Fit, dict[str, float], list[dict[Key, float]]]:
+    """The most probable set without what does not help to predict stretches that its fit has not seen."""
+    known: dict[frozenset[str], tuple[float, np.ndarray]] = {}
+
+    def judge(fit: Fit) -> tuple[float, np.ndarray]:
+        if fit.effects not in known:
+            given = fit.windows, fit.prior, fitter.simulator.scale_prior, fit.posterior, fold
+            density, means = predict_folds(*given)
+            known[fit.effects] = float(density.sum()), means
+        return known[fit.effects]
+
+    fit = comparison.best
+    while True:
+        gains = {}
+        for effect in sorted(fit.effects):
+            rest = fit.effects - {effect}
+            if rest not in comparison.fits:
+                start = {key: value for key, value in fit.values.items() if key[0] != effect}
+                comparison.add(fitter.fit(rest, start, fit.posterior.scales))
+            gains[effect] = judge(fit)[0] - judge(comparison.fits[rest])[0]
+        weakest = min(gains, key=gains.__getitem__, default="")
+        if not weakest or gains[weakest] > 0.0:
+            break
+        fit = comparison.fits[fit.effects - {weakest}]
+    fitted = [dict(zip(fit.values, row.tolist())) for row in judge(fit)[1]]
+    return fit, gains, fitted
+
+
+def rescale(measurements: Sequence[Measurements], bench: Bench, scales: Scales) -> list[Measurements]:
+    """The measurements with the noise that was inferred for every channel of a bench."""
+    factors = {(c.kind, c.axis): float(np.exp(s)) for c, s in zip(bench.channels, scales.sensor)}
+
+    def scaled(series: Mapping[int, Series], kind: str) -> dict[int, Series]:
+        return {dof: replace(each, std=each.std * factors.get((kind, dof), 1.0)) for dof, each in series.items()}
+
+    return [
+        replace(m, positions=scaled(m.positions, "position"), velocities=scaled(m.velocities, "velocity"))
+        for m in measurements
+    ]
+
+
+def select_inferred(inferred: Inferred, search: Search, held_out: HeldOut) -> Selection:
+    """The causes as the verdict takes them."""
+    comparison, chosen = inferred.comparison, inferred.chosen
+    fit = search.start
+    if chosen.effects:
+        fit = search.fit(chosen.effects, chosen.values, search.start.about, iterations=0)
+        fit = replace(search.reframe(fit), values=dict(chosen.values), std=chosen.std)
+    empty = comparison.fits[frozenset()]
+    first = {next(iter(s)): 2.0 * (f.evidence - empty.evidence) for s, f in comparison.fits.items() if len(s) == 1}
+    rivals = {effect: list_rivals(comparison, chosen, effect) for effect in chosen.effects}
+    instead = {effect: [Alternative(f.effects, f.values) for _, f in row] for effect, row in rivals.items()}
+    evidence = {e: 2.0 * (chosen.evidence - comparison.fits[chosen.effects - {e}].evidence) for e in chosen.effects}
+    probability = {e: comparison.inclusion(frozenset({e})) for e in chosen.effects}
+    ranked = sorted(first.items(), key=lambda item: -item[1])
+    told = {effect: [rival for rival, _ in row] for effect, row in rivals.items()}
+    return Selection(fit, ranked, told, instead, evidence, probability=probability)
+
+
+def list_rivals(comparison: Comparison, chosen: Fit, effect: str) -> list[tuple[Rival, Fit]]:
+    """Effects that may stand in the place of a cause, the most probable first, each with the set in which it does."""
+    found: dict[str, tuple[float, float, Fit]] = {}
+    mine = comparison.log_weight(chosen.effects)
+    for effects, probability in comparison.probabilities.items():
+        if effect in effects or not (others := effects - chosen.effects):
+            continue
+        sigma = float(np.sqrt(max(2.0 * (mine - comparison.log_weight(effects)), 0.0)))
+        for other in others:
+            before = found.get(other, (0.0, np.inf, comparison.fits[effects]))
+            nearer = sigma < before[1]
+            found[other] = (
+                before[0] + probability,
+                min(sigma, before[1]),
+                comparison.fits[effects] if nearer else before[2],
+            )
+    rows = [(Rival(name, p, sigma), fit) for name, (p, sigma, fit) in found.items() if sigma < CLOSE or p > LEAST]
+    return sorted(rows, key=lambda row: (-row[0].confidence, row[0].effect))
