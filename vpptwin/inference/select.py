@@ -32,11 +32,11 @@ class Comparison:
         fits: set → fit.
         temper: by which log evidence is divided: no simulation is exact (Miller and Dunson, Robust Bayesian inference
             via coarsening, JASA 114, 2019).
-        odds: log of the prior odds that an effect is there.
+        odds: effect → log of the prior odds that it is there.
     """
 
     temper: float
-    odds: float
+    odds: Mapping[str, float]
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
 
     def add(self, fit: Fit) -> None:
@@ -47,7 +47,7 @@ class Comparison:
 
     def log_weight(self, effects: frozenset[str]) -> float:
         """Of a set that was fitted, up to a constant."""
-        return self.fits[effects].evidence / self.temper + self.odds * len(effects)
+        return self.fits[effects].evidence / self.temper + sum(self.odds[effect] for effect in sorted(effects))
 
     @property
     def ordered(self) -> list[frozenset[str]]:

@@ -29,7 +29,7 @@ from vpptwin.diagnosis.evidence.runs import Key, MakeTwin
 from vpptwin.diagnosis.judgement.blows import Findings, judge_blows, strikes_on
 from vpptwin.diagnosis.judgement.conclusion import conclude
 from vpptwin.diagnosis.judgement.holdout import HeldOut
-from vpptwin.diagnosis.judgement.inferred import Inferred, infer_causes, rescale, select_inferred
+from vpptwin.diagnosis.judgement.inferred import Inferred, infer_causes, is_material, rescale, select_inferred
 from vpptwin.diagnosis.judgement.leftover import judge_leftover
 from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
 from vpptwin.diagnosis.judgement.verdict import Cause, Cut, Experiment, Verdict
@@ -244,8 +244,13 @@ def infer(
     search = Search(build_bench(spec, calm, thin_out(spec, starts), window, False, progress, criteria,
                                 make_twin=make_twin), unknowns)  # fmt: skip
     held_out = open_held_out(spec, calm, starts, progress, criteria, make_twin)
-    held_out.divide(*(deal(inferred, search.bench, bench) for bench in (held_out.short, held_out.errors.bench)))
-    return inferred, calm, search, held_out
+    while True:
+        held_out.divide(*(deal(inferred, search.bench, bench) for bench in (held_out.short, held_out.errors.bench)))
+        values = inferred.chosen.values
+        slight = [e for e in sorted(inferred.chosen.effects) if not is_material(search, held_out, values, e)]
+        if not slight:
+            return inferred, calm, search, held_out
+        inferred = inferred.drop_weakest(slight)
 
 
 def deal(inferred: Inferred, fitted: Bench, bench: Bench) -> tuple[np.ndarray, list[dict[Key, float]]]:

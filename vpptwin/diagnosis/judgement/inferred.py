@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,8 @@ FOLDS = 6
 """Parts of the logs, each judged by fits to the others."""
 STRETCHES = 3
 """Stretches of time that a fold has at most."""
+FELT = 0.1
+"""Share by which an error must grow without a cause, at one horizon at least."""
 CLOSE = 3.0
 """Sigma within which a rival is reported."""
 LEAST = 0.01
@@ -36,25 +38,53 @@ class Inferred:
     """What was inferred from all windows.
 
     Attributes:
+        fitter: of hypotheses.
         comparison: sets of effects with their fits.
-        chosen: the set that becomes the causes.
         fold: of every window, (K,).
-        fitted: parameters of the chosen set as fitted to all folds but one, fold by fold.
+        chosen: the set that becomes the causes.
+        fitted: its parameters as fitted to all folds but one, fold by fold.
         gains: cause → gain of out-of-fold log predictive density that it brings beside the others.
         stopped: whether the search was cut short.
     """
 
+    fitter: Fitter
     comparison: Comparison
-    chosen: Fit
     fold: np.ndarray
+    chosen: Fit
     fitted: list[dict[Key, float]]
     gains: dict[str, float]
-    stopped: bool
+    stopped: bool = False
 
     @property
     def scales(self) -> Scales:
         """Noise that the causes leave."""
         return self.chosen.posterior.scales
+
+    def choose(self, chosen: Fit) -> Inferred:
+        """The same with another set, and what each of its effects brings on stretches that no fit has seen."""
+        density, means = self._predict(chosen)
+        gains = {e: density - self._predict(self.without(chosen, e))[0] for e in sorted(chosen.effects)}
+        return replace(
+            self, chosen=chosen, fitted=[dict(zip(chosen.values, row.tolist())) for row in means], gains=gains
+        )
+
+    def without(self, fit: Fit, effect: str) -> Fit:
+        """A fit without one of its effects."""
+        rest = fit.effects - {effect}
+        if rest not in self.comparison.fits:
+            start = {key: value for key, value in fit.values.items() if key[0] != effect}
+            self.comparison.add(self.fitter.fit(rest, start, fit.posterior.scales))
+        return self.comparison.fits[rest]
+
+    def drop_weakest(self, among: Collection[str]) -> Inferred:
+        """The same without the effect that brings least of some."""
+        return self.choose(self.without(self.chosen, min(sorted(among), key=self.gains.__getitem__)))
+
+    def _predict(self, fit: Fit) -> tuple[float, np.ndarray]:
+        """Out-of-fold log predictive density of all windows, and parameters fold by fold, (F, P)."""
+        prior = self.fitter.simulator.scale_prior
+        density, means = predict_folds(fit.windows, fit.prior, prior, fit.posterior, self.fold)
+        return float(density.sum()), means
 
 
 def cut_folds(flight: np.ndarray, start: np.ndarray, window: float) -> np.ndarray:
@@ -85,40 +115,25 @@ def infer_causes(
     comparison, fitter, stopped = compare_hypotheses(bench, unknowns, deadline, tell)
     windows = bench.windows
     fold = cut_folds(windows.flight, windows.start, windows.steps * windows.dt)
-    deadline.held, held = True, deadline.held
-    chosen, gains, fitted = confirm(fitter, comparison, fold)
-    deadline.held = held
-    return Inferred(comparison, chosen, fold, fitted, gains, stopped)
+    deadline.held = True
+    best = Inferred(fitter, comparison, fold, comparison.best, [], {}, stopped).choose(comparison.best)
+    while harmful := [effect for effect, gain in best.gains.items() if gain <= 0.0]:
+        best = best.drop_weakest(harmful)
+    return best
 
 
-def confirm(
-    fitter: Fitter, comparison: Comparison, fold: np.ndarray
-) -> tuple[Fit, dict[str, float], list[dict[Key, float]]]:
-    """The most probable set without what does not help to predict stretches that its fit has not seen."""
-    known: dict[frozenset[str], tuple[float, np.ndarray]] = {}
-
-    def judge(fit: Fit) -> tuple[float, np.ndarray]:
-        if fit.effects not in known:
-            given = fit.windows, fit.prior, fitter.simulator.scale_prior, fit.posterior, fold
-            density, means = predict_folds(*given)
-            known[fit.effects] = float(density.sum()), means
-        return known[fit.effects]
-
-    fit = comparison.best
-    while True:
-        gains = {}
-        for effect in sorted(fit.effects):
-            rest = fit.effects - {effect}
-            if rest not in comparison.fits:
-                start = {key: value for key, value in fit.values.items() if key[0] != effect}
-                comparison.add(fitter.fit(rest, start, fit.posterior.scales))
-            gains[effect] = judge(fit)[0] - judge(comparison.fits[rest])[0]
-        weakest = min(gains, key=gains.__getitem__, default="")
-        if not weakest or gains[weakest] > 0.0:
-            break
-        fit = comparison.fits[fit.effects - {weakest}]
-    fitted = [dict(zip(fit.values, row.tolist())) for row in judge(fit)[1]]
-    return fit, gains, fitted
+def is_material(search: Search, held_out: HeldOut, values: Mapping[Key, float], effect: str) -> bool:
+    """Whether an effect leaves its build tolerance, and errors on stretches that no fit has seen grow without it."""
+    criteria = search.criteria
+    own = [u for u in search.unknowns if u.effect.id == effect]
+    if all(abs(values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
+        return False
+    rest = {key: value for key, value in values.items() if key[0] != effect}
+    with_it, without = held_out.errors.squares(values), held_out.errors.squares(rest)
+    return any(
+        np.any(np.nanmean(without[name], axis=0) > (1.0 + FELT) ** 2 * np.nanmean(with_it[name], axis=0))
+        for name in with_it
+    )
 
 
 def rescale(measurements: Sequence[Measurements], bench: Bench, scales: Scales) -> list[Measurements]:

@@ -17,6 +17,8 @@ from vpptwin.system.deadline import Deadline, Stopped
 
 TEMPER = 2.0
 """By which log evidence is divided: no twin is exact (see docs/inference.md)."""
+COLUMNS = 1.5
+"""By how much higher the log odds are that a column of the log is not what it is said to be: a zero, a sign, a lag."""
 
 
 def compare_hypotheses(
@@ -38,7 +40,9 @@ def compare_hypotheses(
     trials = [name_trial(start, unknowns) for start in list_trials(tuple(suspects), bench)]
     fitter = Fitter(BenchSimulator(bench), list(unknowns.values()), trials)
     effects = {suspect.effect.id: suspect.effect for suspect in suspects}
-    comparison = Comparison(TEMPER, -float(np.log(max(len(effects), 2))))
+    usual = -float(np.log(max(len(effects), 2)))
+    odds = {name: usual + (COLUMNS if name in bench.of_sensors else 0.0) for name in effects}
+    comparison = Comparison(TEMPER, odds)
     modifies = {name: effect.modifies for name, effect in effects.items() if effect.modifies}
     deadline = deadline or Deadline()
 
