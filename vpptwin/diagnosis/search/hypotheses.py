@@ -17,6 +17,8 @@ from vpptwin.system.deadline import Deadline, Stopped
 
 TEMPER = 2.0
 """By which log evidence is divided: no twin is exact (see docs/inference.md)."""
+ZERO = "qpos0"
+"""What a wrong zero of an encoder changes in a twin."""
 COLUMNS = 1.5
 """By how much higher the log odds are that a column of the log is not what it is said to be: a zero, a sign, a lag."""
 
@@ -41,7 +43,8 @@ def compare_hypotheses(
     fitter = Fitter(BenchSimulator(bench), list(unknowns.values()), trials)
     effects = {suspect.effect.id: suspect.effect for suspect in suspects}
     usual = -float(np.log(max(len(effects), 2)))
-    odds = {name: usual + (COLUMNS if name in bench.of_sensors else 0.0) for name in effects}
+    odds = {name: usual + (COLUMNS if name in bench.of_sensors or ZERO in effect.writes else 0.0)
+            for name, effect in effects.items()}  # fmt: skip
     comparison = Comparison(TEMPER, odds)
     modifies = {name: effect.modifies for name, effect in effects.items() if effect.modifies}
     deadline = deadline or Deadline()
