@@ -155,7 +155,7 @@ def select_inferred(inferred: Inferred, search: Search, held_out: HeldOut) -> Se
     fit = search.start
     if chosen.effects:
         fit = search.fit(chosen.effects, chosen.values, search.start.about, iterations=0)
-        fit = replace(search.reframe(fit), values=dict(chosen.values), std=chosen.std)
+        fit = replace(search.reframe(fit), values=dict(chosen.values), std=average_std(comparison, chosen))
     empty = comparison.fits[frozenset()]
     first = {next(iter(s)): 2.0 * (f.evidence - empty.evidence) for s, f in comparison.fits.items() if len(s) == 1}
     rivals = {effect: list_rivals(comparison, chosen, effect) for effect in chosen.effects}
@@ -165,6 +165,21 @@ def select_inferred(inferred: Inferred, search: Search, held_out: HeldOut) -> Se
     ranked = sorted(first.items(), key=lambda item: -item[1])
     told = {effect: [rival for rival, _ in row] for effect, row in rivals.items()}
     return Selection(fit, ranked, told, instead, evidence, probability=probability)
+
+
+def average_std(comparison: Comparison, chosen: Fit) -> dict[Key, float]:
+    """Standard deviation of every parameter of a set, averaged over all sets with its effect that were fitted.
+
+    Var = Σ p (s² + (v - v₀)²) / Σ p over the sets (Hoeting et al., Bayesian Model Averaging, Stat. Sci. 14, 1999).
+    """
+    probabilities, found = comparison.probabilities, {}
+    for key, value in chosen.values.items():
+        sets = [effects for effects in comparison.fits if key[0] in effects]
+        weights = np.array([probabilities[effects] for effects in sets])
+        stds = np.array([comparison.fits[effects].std[key] for effects in sets])
+        away = np.array([comparison.fits[effects].values[key] - value for effects in sets])
+        found[key] = float(np.sqrt(weights @ (stds**2 + away**2) / weights.sum()))
+    return found
 
 
 def list_rivals(comparison: Comparison, chosen: Fit, effect: str) -> list[tuple[Rival, Fit]]:

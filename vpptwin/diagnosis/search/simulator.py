@@ -8,7 +8,12 @@ import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import FAR, Bench
 from vpptwin.diagnosis.evidence.runs import Variation
-from vpptwin.diagnosis.search.likelihood import likeness_of_gusts, measure_response, middles_of_segments
+from vpptwin.diagnosis.search.likelihood import (
+    Response,
+    likeness_of_gusts,
+    measure_response,
+    middles_of_segments,
+)
 from vpptwin.diagnosis.search.suspects import Unknown as Suspect
 from vpptwin.effects import find_effect
 from vpptwin.inference.fit import Key, Point, Unknown
@@ -27,7 +32,7 @@ class BenchSimulator:
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
-        self._responses: dict[Hashable, tuple[np.ndarray, np.ndarray]] = {}
+        self._responses: dict[Hashable, Response] = {}
         nv = bench.spec.model.nv
         self.noise = np.where(bench.valid, bench.std, np.inf)
         self.columns: Sequence[slice] = bench.columns
@@ -42,16 +47,26 @@ class BenchSimulator:
     def residuals(self, points: Sequence[Point], about: Point) -> np.ndarray:
         """Measured less simulated, (V, K, M)."""
         predicted = self.bench.predict([Variation(dict(point)) for point in points], dict(about))
-        return self.bench.miss(predicted)
+        return self._response(about).restore(self.bench.miss(predicted), self.bench.track)
 
     def respond(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives by starting states and force pulses, in units of their priors."""
+        response, bench = self._response(point), self.bench
+        alike = likeness_of_gusts(bench, middles_of_segments(bench))
+        count, values, _ = response.push.shape
+        root = np.linalg.cholesky(alike + 1e-9 * np.eye(bench.segments))
+        push = response.push.reshape(count, values, bench.segments, -1)
+        push = np.einsum("kmsd,kst->kmtd", push, root).reshape(count, values, -1)
+        return response.state * response.state_std, push
+
+    def _response(self, point: Point) -> Response:
+        """The response at a point, measured once for every point of a coarse grid."""
         loose = self.loosen(point)
         key = frozenset(loose.items())
         if key not in self._responses:
             if len(self._responses) >= KEPT:
                 del self._responses[next(iter(self._responses))]
-            self._responses[key] = self._measure(loose)
+            self._responses[key] = measure_response(self.bench, loose)
         return self._responses[key]
 
     def loosen(self, point: Point) -> dict[Key, float]:
@@ -66,16 +81,6 @@ class BenchSimulator:
                 away = float(np.copysign(size, loose[key] - nominal))
                 loose[key] = float(parameter.clip(np.array(nominal + away)))
         return loose
-
-    def _measure(self, loose: Point) -> tuple[np.ndarray, np.ndarray]:
-        bench = self.bench
-        response = measure_response(bench, loose)
-        alike = likeness_of_gusts(bench, middles_of_segments(bench))
-        count, values, _ = response.push.shape
-        root = np.linalg.cholesky(alike + 1e-9 * np.eye(bench.segments))
-        push = response.push.reshape(count, values, bench.segments, -1)
-        push = np.einsum("kmsd,kst->kmtd", push, root).reshape(count, values, -1)
-        return response.state * response.state_std, push
 
 
 def is_known(bench: Bench, channel: int) -> bool:
