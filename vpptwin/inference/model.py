@@ -163,11 +163,12 @@ class Windows:
         unit = 1.0 / np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
         even = inner * unit[:, :, None] * unit[:, None, :] + ROUNDING * np.eye(len(size))
         root = np.linalg.cholesky(even)
-        solved = unit[:, :, None] * np.linalg.solve(even, unit[:, :, None] * across)
+        inverse = unit[:, :, None] * np.linalg.inv(even) * unit[:, None, :]
+        solved = inverse @ across
         information = outer - np.swapaxes(across, 1, 2) @ solved
         logdet = 2.0 * (np.log(np.diagonal(root, axis1=1, axis2=2)) - np.log(unit)).sum(axis=1)
         logdet += 2.0 * self.counts @ scales.sensor
-        return Eliminated(information, logdet, inner, solved, size)
+        return Eliminated(information, logdet, inverse, solved, size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,14 +178,14 @@ class Eliminated:
     Attributes:
         information: inner products of [J | r] under S = σ² + X Xᵀ + U g² Uᵀ, (K, P + 1, P + 1).
         logdet: log determinant of S, up to a constant, (K,).
-        inner: I + D [X U]ᵀ [X U] D / σ², with D the scales of states and pulses, (K, N, N).
-        solved: its inverse times D [X U]ᵀ [J | r] / σ², (K, N, P + 1).
+        inverse: N⁻¹ of N = I + D [X U]ᵀ [X U] D / σ², with D the scales of states and pulses, (K, N, N).
+        solved: N⁻¹ times D [X U]ᵀ [J | r] / σ², (K, N, P + 1).
         size: D, (N,).
     """
 
     information: np.ndarray
     logdet: np.ndarray
-    inner: np.ndarray
+    inverse: np.ndarray
     solved: np.ndarray
     size: np.ndarray
 
@@ -257,13 +258,12 @@ def infer(
         mean, _, square = find_mode(e.information.sum(axis=0), still.at, own)
         left = np.concatenate([still.at - mean, [1.0]])
         noise = e.solved @ left  # posterior mean of states and pulses, in their own scale
-        inverse = np.linalg.inv(e.inner)
         # d log det / d log g = 2 (1 - N⁻¹ᵢᵢ), d square / d log g = -2 nᵢ², of every pulse i.
-        drive = 2.0 * (1.0 - np.diagonal(inverse, axis1=1, axis2=2) - noise**2).sum(axis=0)[windows.states :]
+        drive = 2.0 * (1.0 - np.diagonal(e.inverse, axis1=1, axis2=2) - noise**2).sum(axis=0)[windows.states :]
         process = np.bincount(windows.process, drive, minlength=len(scales.process))
         noises, across, outer = still._blocks
         pulses = noise * e.size
-        shrunk = inverse * e.size * e.size[:, None] + pulses[:, :, None] * pulses[:, None, :]
+        shrunk = e.inverse * e.size * e.size[:, None] + pulses[:, :, None] * pulses[:, None, :]
         # d (log det + square) / d log σ of a channel = 2 (values - trace of N⁻¹ - squares left at the posterior mean).
         count = len(noise)
         spent = (noises @ shrunk.reshape(count, -1, 1)).sum(axis=(0, 2))
