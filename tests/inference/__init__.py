@@ -1,0 +1,1 @@
+"""Statistics of hypotheses, on toy simulators whose answers are known."""
