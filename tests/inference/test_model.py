@@ -89,6 +89,17 @@ def test_infer_finds_the_most_probable_scales() -> None:
     np.testing.assert_allclose(found, least.x, atol=0.03)
 
 
+@pytest.mark.parametrize(("sensor", "process"), [(-4.0, -8.0), (-4.0, 6.0), (6.0, -8.0), (6.0, 6.0), (0.0, -8.0)])
+def test_infer_ends_at_the_same_scales_wherever_it_starts(sensor: float, process: float) -> None:
+    """Also where the noise that it starts from is thousands of times too small or hundreds of times too large."""
+    toy, slopes, _ = draw(3)
+    near = infer(toy.windows(slopes), draw_prior(2), toy.scale_prior, toy.scale_prior.start)
+    start = Scales(np.full(2, sensor), np.full(2, process))
+    far = infer(toy.windows(slopes), draw_prior(2), toy.scale_prior, start)
+    assert far.deviance == pytest.approx(near.deviance, abs=0.01)
+    np.testing.assert_allclose(far.mean, near.mean, atol=1e-3)
+
+
 def test_scales_are_recovered_within_their_error() -> None:
     """Over 40 sets of data, errors over the standard deviations that the curvature gives have a square near one."""
     errors = []
