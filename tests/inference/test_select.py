@@ -51,6 +51,33 @@ def test_two_true_effects_are_found_and_look_alikes_share(seed: int) -> None:
     assert abs(size - 1.0) < 3.0 * comparison.best.std["a", "size"]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_what_imitates_two_effects_is_exchanged_for_them(seed: int) -> None:
+    """A column near the sum of two explains more than either alone, and is taken first; both together explain all."""
+    law = draw_linear(EIGHT, seed)
+    a, c, other = (law.slopes[name, "size"] for name in "ace")
+    toy = simulate(
+        Linear({**law.slopes, ("e", "size"): 0.7 * (a + c) + 0.5 * other}), {**TRUTH, ("c", "size"): 1.0}, seed
+    )
+    comparison = search(toy)
+    singles = {name: comparison.fits[frozenset(name)].evidence for name in "ace"}
+    assert max(singles, key=singles.__getitem__) == "e"
+    assert comparison.best.effects == frozenset("ac")
+    assert comparison.inclusion(frozenset("e")) < 0.3
+
+
+def test_the_best_fit_of_a_set_is_kept() -> None:
+    """In whichever order fits are added."""
+    fitter = Fitter(draw_alike(3, TRUTH), [name_unknown(name) for name in EIGHT])
+    poor, good = (fitter.fit(frozenset("ac"), {}, steps=steps) for steps in (1, 6))
+    assert good.evidence > poor.evidence + 10.0
+    for order in ((poor, good), (good, poor)):
+        comparison = Comparison(1.0, 0.0)
+        for fit in order:
+            comparison.add(fit)
+        assert comparison.best is good
+
+
 def test_inclusion_probabilities_sum_properly() -> None:
     """Sets sum to one; any effect is there unless none is; for two effects inclusion and exclusion hold."""
     comparison = search(draw_alike(1, TRUTH), temper=2.0)

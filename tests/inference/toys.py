@@ -17,7 +17,7 @@ SIGMA, PUSH = np.array([0.1, 0.3]), np.array([0.5, 2.0])
 Law = Callable[[Point], np.ndarray]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Toy:
     """A simulator whose law is a function of parameters, with given columns of starting states and pulses."""
 
