@@ -12,7 +12,7 @@ from vpptwin.inference.fit import Fitter, Key, Point, Trial, Unknown
 from vpptwin.inference.select import Comparison, Searcher
 
 EIGHT = "abcdefgh"
-ODDS = -np.log(len(EIGHT))
+ODDS = dict.fromkeys([*EIGHT, "bump"], -float(np.log(len(EIGHT))))
 STRENGTH, PLACE = ("bump", "strength"), ("bump", "place")
 
 
@@ -26,11 +26,12 @@ def draw_alike(seed: int, truth: Point) -> Toy:
 def search(
     toy: Toy, unknowns: Sequence[Unknown] = (), trials: Sequence[Trial] = (), temper: float = 1.0,
     modifies: Mapping[str, Sequence[str]] | None = None, told: list[frozenset[str]] | None = None,
+    odds: Mapping[str, float] = ODDS,
 ) -> Comparison:  # fmt: skip
     """Search among eight candidates, or among those of some parameters."""
     fitter = Fitter(toy, unknowns or [name_unknown(name) for name in EIGHT], trials)
     heard = [] if told is None else told
-    return Searcher(fitter, Comparison(temper, float(ODDS)), modifies, heard.append).search()
+    return Searcher(fitter, Comparison(temper, odds), modifies, heard.append).search()
 
 
 TRUTH: dict[Key, float] = {("a", "size"): 1.0, ("c", "size"): -0.8}
@@ -72,7 +73,7 @@ def test_the_best_fit_of_a_set_is_kept() -> None:
     poor, good = (fitter.fit(frozenset("ac"), {}, steps=steps) for steps in (1, 6))
     assert good.evidence > poor.evidence + 10.0
     for order in ((poor, good), (good, poor)):
-        comparison = Comparison(1.0, 0.0)
+        comparison = Comparison(1.0, ODDS)
         for fit in order:
             comparison.add(fit)
         assert comparison.best is good
@@ -93,11 +94,11 @@ def test_inclusion_probabilities_sum_properly() -> None:
 
 def test_probabilities_follow_from_evidence_and_odds() -> None:
     """The log ratio of two sets is the difference of evidence over the temper, and odds for what one has more."""
-    comparison = search(draw_alike(2, TRUTH), temper=2.0)
+    comparison = search(draw_alike(2, TRUTH), temper=2.0, odds={**ODDS, "a": -5.0, "c": -1.5})
     less, more = frozenset("a"), frozenset("ac")
     difference = comparison.fits[more].evidence - comparison.fits[less].evidence
     probabilities = comparison.probabilities
-    assert np.log(probabilities[more] / probabilities[less]) == pytest.approx(difference / 2.0 + ODDS)
+    assert np.log(probabilities[more] / probabilities[less]) == pytest.approx(difference / 2.0 - 1.5)
 
 
 def test_with_nothing_hidden_the_empty_set_wins() -> None:
