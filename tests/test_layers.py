@@ -19,7 +19,8 @@ ORDER = (
     "system", "effects", "engine", "robots.planar_drone.vehicle", "robots.planar_drone.effects", "actuators",
     "engine.trace", "twin.robot", "robots.planar_drone.craft", "twin", "logs", "estimation", "mapping",
     "robots.planar_drone", "viz", "inference", "diagnosis", "robots.planar_drone.experiment", "report",
-    "robots.planar_drone.report", "robots.planar_drone.display", "drift", "robots.planar_drone.thrust_stand", "train", "deploy", "cli",
+    "robots.planar_drone.report", "robots.planar_drone.display", "drift", "robots.planar_drone.thrust_stand", "train",
+    "deploy", "cli",
 )  # fmt: skip
 """Each room imports only from those before it. The longest name that fits a file is its room."""
 ROOMS = ("evidence", "search", "judgement")

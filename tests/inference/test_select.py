@@ -163,7 +163,6 @@ def test_order_of_unknowns_and_trials_does_not_matter(seed: int) -> None:
     assert {effects: fit.evidence for effects, fit in second.fits.items()} == pytest.approx(evidence, abs=1e-9)
 
 
-@pytest.mark.xfail(strict=True, reason="BUG: Fitter keeps the order it is given, and rounding then breaks ties")
 def test_order_does_not_matter_to_the_last_bit() -> None:
     """Two effects that are one and the same tie, and names decide: rounding may not."""
     toy = draw_bump(2, alike=True)
@@ -173,7 +172,6 @@ def test_order_does_not_matter_to_the_last_bit() -> None:
         assert all(second.fits[effects].evidence == fit.evidence for effects, fit in first.fits.items())
 
 
-@pytest.mark.xfail(strict=True, reason="BUG: Searcher.reduce and .exchange take the modified effect away")
 def test_what_modifies_is_never_fitted_alone() -> None:
     """An effect that only changes `a` or `b` is not asked for without one of them, not even to see what `a` adds."""
     told: list[frozenset[str]] = []

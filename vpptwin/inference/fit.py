@@ -111,7 +111,9 @@ class Fitter:
     """Fits hypotheses on one simulator. What it remembers is keyed by value: the order of questions cannot matter."""
 
     def __init__(self, simulator: Simulator, unknowns: Sequence[Unknown], trials: Sequence[Trial] = ()) -> None:
-        self.simulator, self.unknowns, self.trials = simulator, tuple(unknowns), tuple(trials)
+        self.simulator = simulator
+        self.unknowns = tuple(sorted(unknowns, key=lambda u: u.key))
+        self.trials = tuple(sorted(trials, key=lambda t: (t.effect, sorted(t.values.items()))))
         self._fits: dict[Hashable, Fit] = {}
 
     def of(self, effects: frozenset[str]) -> list[Unknown]:
@@ -194,12 +196,13 @@ class Fitter:
         unknowns = self.of(effects)
         prior = self.prior_of(unknowns)
         values = {u.key: float(start.get(u.key, u.mean)) for u in unknowns}
-        key = effects, frozenset(values.items()), steps
+        scales = scales or self.simulator.scale_prior.start
+        key = effects, frozenset(values.items()), steps, scales.sensor.tobytes(), scales.process.tobytes()
         if key in self._fits:
             return self._fits[key]
         scale_prior = self.simulator.scale_prior
-        scales, best, stride, ahead = scales or scale_prior.start, None, 1.0, np.empty(0)
-        for _ in range(steps if unknowns else 1):
+        best, stride, ahead, taken = None, 1.0, np.empty(0), 0
+        while taken < (steps if unknowns else 1):  # a stride that is too long is no step
             windows = self.linearise(values, unknowns)
             here = infer(windows, prior, scale_prior, scales, np.arange(len(windows.at)) < len(unknowns))
             there = infer(windows, prior, scale_prior, here.scales) if unknowns else here
@@ -208,6 +211,7 @@ class Fitter:
             gain = np.inf if best is None else fit.evidence - best.evidence
             if gain > 0.0:
                 best, ahead, stride, scales = fit, there.mean, min(1.0, 2.0 * stride), there.scales
+                taken += 1
                 if gain < SETTLED:
                     break
             else:

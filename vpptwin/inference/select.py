@@ -133,7 +133,7 @@ class Searcher:
         fit = self.comparison.fits[effects]
         for effect in sorted(effects):
             rest = effects - {effect}
-            if rest not in self.comparison.fits:
+            if rest not in self.comparison.fits and self.is_whole(rest):
                 self.try_set(rest, {k: v for k, v in fit.values.items() if k[0] in rest}, fit.posterior.scales)
 
     def exchange(self, effects: frozenset[str]) -> None:
@@ -141,8 +141,13 @@ class Searcher:
         self.exchanged.add(effects)
         self.reduce(effects)
         for effect in sorted(effects):
-            if effects - {effect} not in self.extended:
-                self.extend(effects - {effect}, frozenset({effect}))
+            rest = effects - {effect}
+            if rest not in self.extended and self.is_whole(rest):
+                self.extend(rest, frozenset({effect}))
+
+    def is_whole(self, effects: frozenset[str]) -> bool:
+        """Whether every effect that only modifies others has one of them beside it."""
+        return all(not self.modifies.get(e) or effects & set(self.modifies[e]) for e in effects)
 
     def propose(self, fit: Fit, barred: frozenset[str]) -> list[tuple[str, list[Point]]]:
         """Effects worth fitting beside a fit, each with places to start from, most promising first."""

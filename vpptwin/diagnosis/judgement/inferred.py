@@ -155,7 +155,9 @@ def select_inferred(inferred: Inferred, search: Search, held_out: HeldOut) -> Se
     fit = search.start
     if chosen.effects:
         fit = search.fit(chosen.effects, chosen.values, search.start.about, iterations=0)
-        fit = replace(search.reframe(fit), values=dict(chosen.values), std=average_std(comparison, chosen))
+        std = average_std(comparison, chosen)
+        fit = search.reframe(fit)
+        fit = replace(fit, values=dict(chosen.values), std={key: std[key] for key in fit.std})
     empty = comparison.fits[frozenset()]
     first = {next(iter(s)): 2.0 * (f.evidence - empty.evidence) for s, f in comparison.fits.items() if len(s) == 1}
     rivals = {effect: list_rivals(comparison, chosen, effect) for effect in chosen.effects}
