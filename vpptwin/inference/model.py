@@ -215,11 +215,21 @@ class Posterior:
         return np.linalg.pinv(self.precision * unit * unit[:, None], hermitian=True) * unit * unit[:, None]
 
 
+def make_definite(matrix: np.ndarray) -> np.ndarray:
+    """A symmetric matrix without the negative directions that rounding left where a simulation went far astray."""
+    unit = np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
+    sizes, axes = np.linalg.eigh(matrix / unit / unit[:, None])
+    if sizes[0] >= -ROUNDING:
+        return matrix
+    return (axes * np.maximum(sizes, 0.0)) @ axes.T * unit * unit[:, None]
+
+
 def find_mode(information: np.ndarray, at: np.ndarray, prior: Prior) -> tuple[np.ndarray, np.ndarray, float]:
     """Most probable parameters within bounds, their precision, and r's square there with the prior's (P + 1, P + 1)."""
     if not len(at):
         return at, np.empty((0, 0)), float(information[-1, -1])
     gram, along = information[:-1, :-1], information[:-1, -1]
+    gram = make_definite(gram)
     precision = gram + np.diag(prior.std**-2)
     target = along + (prior.mean - at) / prior.std**2
     unit = 1.0 / np.sqrt(np.diag(precision))
@@ -288,7 +298,7 @@ def infer(
     mean[~held], _, square = find_mode(information[np.ix_(free, free)], still.at, own)
     away = ((at - prior.mean) / prior.std)[held]
     cost = square + float(away @ away) + float(total.logdet.sum()) + scale_prior.cost(scales)
-    precision = information[:-1, :-1] + np.diag(prior.std**-2)
+    precision = make_definite(information[:-1, :-1]) + np.diag(prior.std**-2) if len(at) else np.empty((0, 0))
     penalty = float(np.linalg.slogdet(precision * prior.std * prior.std[:, None])[1]) if len(at) else 0.0
     return Posterior(mean, precision, cost, penalty, scales)
 

@@ -21,6 +21,8 @@ from vpptwin.inference.model import ScalePrior
 
 SHEET, ASSUMED = 0.1, 2.0
 """Standard deviations of the log of a sensor's noise: where it is known, and where the samples were looked at only."""
+FARTHEST = 1e5
+"""Assumed noises by which a simulation can miss: what diverges is wrong, however far."""
 KEPT = 16
 """Responses that are kept."""
 CALM, VARIED = 0.2, 2.0
@@ -47,7 +49,8 @@ class BenchSimulator:
     def residuals(self, points: Sequence[Point], about: Point) -> np.ndarray:
         """Measured less simulated, (V, K, M)."""
         predicted = self.bench.predict([Variation(dict(point)) for point in points], dict(about))
-        return self._response(about).restore(self.bench.miss(predicted), self.bench.track)
+        missed = np.clip(self.bench.miss(predicted), -FARTHEST * self.bench.std, FARTHEST * self.bench.std)
+        return self._response(about).restore(missed, self.bench.track)
 
     def respond(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives by starting states and force pulses, in units of their priors."""
@@ -57,7 +60,8 @@ class BenchSimulator:
         root = np.linalg.cholesky(alike + 1e-9 * np.eye(bench.segments))
         push = response.push.reshape(count, values, bench.segments, -1)
         push = np.einsum("kmsd,kst->kmtd", push, root).reshape(count, values, -1)
-        return response.state * response.state_std, push
+        far = FARTHEST * bench.std[..., None]
+        return np.clip(response.state * response.state_std, -far, far), np.clip(push, -far, far)
 
     def _response(self, point: Point) -> Response:
         """The response at a point, measured once for every point of a coarse grid."""
