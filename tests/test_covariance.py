@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vpptwin.diagnosis.search.covariance import factor, invert, logdet, solve
+from vpptwin.inference.covariance import factor, invert, logdet, solve
 from vpptwin.system.errors import InputError
 
 PACKAGE = Path(__file__).resolve().parents[1] / "vpptwin"

@@ -14,13 +14,13 @@ from vpptwin.inference.model import Layout, Posterior, Prior, ScalePrior, Scales
 Key = tuple[str, str]
 """Effect id and parameter name."""
 Point = Mapping[Key, float]
-STEPS, SHORTEST = 6, 0.1
+STEPS, SHORTEST = 15, 0.1
 """Steps of Gauss-Newton at most, and the shortest stride."""
 WIDEST = 3.0
 """Tolerances by which what is not suspected may be off."""
 NOTICED = 0.5
 """Square of the signal to noise from which a tolerance is noticed."""
-AFFORDABLE = 2_000_000
+AFFORDABLE = 400_000
 """Values up to which trials are simulated anew beside every fit; beyond, they are as beside nothing."""
 SETTLED = 0.15
 """Gain of log evidence under which a fit has settled."""

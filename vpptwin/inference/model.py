@@ -14,7 +14,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear, minimize
+from scipy.optimize import minimize
+
+from vpptwin.inference.bounded import solve_bounded
 
 ROUNDING = 1e-12
 """Added to the diagonal of matrices that are scaled to ones there."""
@@ -234,13 +236,8 @@ def find_mode(information: np.ndarray, at: np.ndarray, prior: Prior) -> tuple[np
     target = along + (prior.mean - at) / prior.std**2
     unit = 1.0 / np.sqrt(np.diag(precision))
     scaled = precision * unit * unit[:, None] + 1e-10 * np.eye(len(at))
-    step = np.linalg.solve(scaled, target * unit) * unit
     low, high = prior.low - at, prior.high - at
-    if np.any(step < low) or np.any(step > high):
-        root = np.linalg.cholesky(scaled)
-        bounds = (low / unit - 1e-9, high / unit + 1e-9)
-        step = lsq_linear(root.T, np.linalg.solve(root, target * unit), bounds=bounds, method="bvls").x * unit
-        step = np.clip(step, low, high)
+    step = np.clip(solve_bounded(scaled, target * unit, (low / unit, high / unit))[0] * unit, low, high)
     square = information[-1, -1] - 2.0 * along @ step + step @ gram @ step
     away = (at + step - prior.mean) / prior.std
     return at + step, precision, float(square + away @ away)

@@ -10,8 +10,8 @@ import numpy as np
 from vpptwin.inference.fit import Fit, Fitter, Point
 from vpptwin.inference.model import Prior, Scales, find_mode
 
-FEW, PROMISING = 14, 7
-"""Candidates that are fitted by themselves, and beside others, at most."""
+FEW, PROMISING, IN_PLACE = 14, 7, 5
+"""Candidates that are fitted by themselves, beside others, and in the place of one, at most."""
 MOST_TIMES = 10.0
 """Times that a trial may be as strong."""
 BRIEF, REACH = 2, 12.0
@@ -158,7 +158,7 @@ class Searcher:
         starts = self.rank(fit, free)
         # What these measurements tell nothing of would only be its prior.
         names = [e for e in sorted(free, key=lambda e: (-starts[e][0][0], e)) if starts[e][0][0] > LEAST]
-        most = FEW if not fit.effects else PROMISING
+        most = IN_PLACE if barred else PROMISING if fit.effects else FEW
         return [(e, [point for gain, point in starts[e][:STARTS] if gain > LEAST]) for e in names[:most]]
 
     def rank(self, fit: Fit, effects: Sequence[str]) -> dict[str, list[tuple[float, Point]]]:

@@ -18,10 +18,11 @@ from vpptwin.diagnosis.search.frame import Rows, weigh_windows
 from vpptwin.diagnosis.search.likelihood import couple_gusts
 from vpptwin.diagnosis.search.search import Search, Step
 from vpptwin.diagnosis.search.shortlist import Start, rank_trials
-from vpptwin.diagnosis.search.solution import solve_bounded, solve_hypothesis
+from vpptwin.diagnosis.search.solution import solve_hypothesis
 from vpptwin.diagnosis.search.suspects import Trial, Unknown
 from vpptwin.effects.friction import coulomb
 from vpptwin.effects.joint import JointScale, bias, spring
+from vpptwin.inference.bounded import solve_bounded
 
 MEASURED = 200
 PLACE = JointScale("a", "on a", tolerance=0.3)
@@ -259,7 +260,7 @@ def test_neighbours_of_a_wrong_set_hold_the_right_one(rubbing: Search) -> None:
 @pytest.mark.parametrize("sets", [30, 0])
 def test_bounded_minima_are_those_of_scipy(monkeypatch: pytest.MonkeyPatch, sets: int) -> None:
     """Of a few unknowns and of many, some of their bounds shut or at once at the minimum; either method alone."""
-    monkeypatch.setattr("vpptwin.diagnosis.search.solution.SETS", sets)
+    monkeypatch.setattr("vpptwin.inference.bounded.SETS", sets)
     rng = np.random.default_rng(5)
     for size in (1, 2, 6, 40):
         for _ in range(10):
@@ -299,7 +300,7 @@ def test_bounded_minima_do_without_divide_and_conquer(monkeypatch: pytest.Monkey
         raise np.linalg.LinAlgError("SVD did not converge in Linear Least Squares")
 
     monkeypatch.setattr("scipy.optimize._lsq.bvls.lstsq", give_up)
-    monkeypatch.setattr("vpptwin.diagnosis.search.solution.SETS", 0)
+    monkeypatch.setattr("vpptwin.inference.bounded.SETS", 0)
     found, _ = solve_bounded(matrix.T @ matrix, target, bounds)
     np.testing.assert_allclose(found, usual, atol=1e-5)
     assert np.all((found >= bounds[0]) & (found <= bounds[1]))

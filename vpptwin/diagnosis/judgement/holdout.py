@@ -12,11 +12,11 @@ from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track, Variation, keep_last
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks
 from vpptwin.diagnosis.judgement.errors import PredictionErrors, mean_over
-from vpptwin.diagnosis.search.covariance import logdet, solve
 from vpptwin.diagnosis.search.fits import Fit, check_frames
 from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, measure_response
 from vpptwin.diagnosis.search.motion import follow_motion, shift_track
 from vpptwin.effects import find_effect
+from vpptwin.inference.covariance import logdet, solve
 
 Folds = tuple[np.ndarray, Sequence[Mapping[Key, float]]]
 """Fold of every window, and parameters fitted to all other folds."""

@@ -17,7 +17,7 @@ from scipy.linalg import solve_triangular
 from scipy.signal import lombscargle
 
 from vpptwin.diagnosis.criteria import Criteria
-from vpptwin.diagnosis.search.covariance import factor, solve
+from vpptwin.inference.covariance import factor, solve
 
 FOLDS = 4
 FAR = 10**6

@@ -10,9 +10,9 @@ import numpy as np
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Variation
 from vpptwin.diagnosis.judgement.holdout import HeldOut
-from vpptwin.diagnosis.search.covariance import solve
 from vpptwin.diagnosis.search.likelihood import Response, gust_std
 from vpptwin.effects import Effect
+from vpptwin.inference.covariance import solve
 from vpptwin.twin.robot.manifold import FREE, chart
 
 

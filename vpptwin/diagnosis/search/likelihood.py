@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track, Variation
-from vpptwin.diagnosis.search.covariance import factor, invert, logdet
+from vpptwin.inference.covariance import factor, invert, logdet
 from vpptwin.system.cores import in_parts, map_rows
 
 FORGOTTEN = 5.0

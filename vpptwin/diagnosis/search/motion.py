@@ -9,7 +9,6 @@ import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track
-from vpptwin.diagnosis.search.covariance import factor, solve
 from vpptwin.diagnosis.search.likelihood import (
     Likelihood,
     Response,
@@ -18,6 +17,7 @@ from vpptwin.diagnosis.search.likelihood import (
     middles_of_segments,
     tune_gust,
 )
+from vpptwin.inference.covariance import factor, solve
 
 FOLLOWED, SETTLED = 5, 0.1
 """Times at most that windows are followed, and drop in a window's cost below which they have been."""

@@ -9,9 +9,9 @@ import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Variation
-from vpptwin.diagnosis.search.covariance import solve
 from vpptwin.diagnosis.search.likelihood import build_likelihood
 from vpptwin.diagnosis.search.suspects import Unknown
+from vpptwin.inference.covariance import solve
 
 
 class Hypothesis(Protocol):
