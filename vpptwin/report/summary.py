@@ -48,6 +48,8 @@ SHARE = (
     "no fit has seen, which sensor noise does not account for: 100 % would leave nothing but that noise."
 )
 """What the percentages beside causes are shares of; those of what is left are shares of the missing force."""
+ALONE = "On stretches of this log alone that no fit has seen"
+"""Where errors are from, of one log: no other confirms them."""
 HORIZON = (
     "The twin predicts open loop, without corrections: errors of the starting state and disturbances grow over the "
     "horizon, so that the last one may stay large though nothing is wrong with the twin."
@@ -293,11 +295,12 @@ def describe_error(verdict: Verdict, tables: list[ErrorTable]) -> str:
     row = table.rows[SHOWN_HORIZON]
     ahead = f"{table.quantity} error {row.horizon} ahead"
     floor = f"; {table.noise_label} alone makes {table.noise} {table.unit}" if table.noise else ""
+    where = "On log that no fit has seen" if len(verdict.logs) > 1 else ALONE
     if not row.after:
-        return f"On log that no fit has seen, the {ahead} is {row.before} {table.unit}{floor}."
+        return f"{where}, the {ahead} is {row.before} {table.unit}{floor}."
     change = f" ({row.change}, 90 % interval)" if row.change else ""
     errors = f"{row.before} to {row.after} {table.unit}"
-    return f"On log that no fit has seen, the {ahead} goes from {errors}{change}{floor}."
+    return f"{where}, the {ahead} goes from {errors}{change}{floor}."
 
 
 def describe_unexplained(verdict: Verdict) -> str:

@@ -166,7 +166,9 @@ def select_inferred(inferred: Inferred, search: Search, held_out: HeldOut) -> Se
     probability = {e: comparison.inclusion(frozenset({e})) for e in chosen.effects}
     ranked = sorted(first.items(), key=lambda item: -item[1])
     told = {effect: [rival for rival, _ in row] for effect, row in rivals.items()}
-    return Selection(fit, ranked, told, instead, evidence, probability=probability)
+    cut = ("fitting further sets of effects",) if inferred.stopped else ()
+    found = Selection(fit, ranked, told, instead, evidence, probability=probability, not_done=cut)
+    return replace(found, unrivalled=chosen.effects) if cut else found
 
 
 def average_std(comparison: Comparison, chosen: Fit) -> dict[Key, float]:
