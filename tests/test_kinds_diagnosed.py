@@ -40,7 +40,7 @@ def test_what_is_missing_is_named_first_and_sized(kind: str, seed: int, tmp_path
     for name, value in truth.items():
         effect, parameter = name.rsplit(".", 1)
         if effect == first.effect:
-            assert first.parameters[parameter].value == pytest.approx(value, rel=0.1)
+            assert first.parameters[parameter].value == pytest.approx(value, rel=0.2)
     before, after = (s.position_rmse_m or s.angle_rmse_rad for s in (verdict.before, verdict.after))
     assert before is not None
     assert after is not None

@@ -55,12 +55,12 @@ def run(cart: Path, out: Path, *more: str) -> int:
 def test_a_signal_keeps_what_was_found(
     cart: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """As rivals are about to be fitted: the friction is there, suggested, with what was not done, in all files."""
-    stop_at(monkeypatch, "checking rivals", signal.SIGTERM)
+    """As others are fitted beside it: the friction is there, suggested, with what was not done, in all files."""
+    stop_at(monkeypatch, "comparing hypotheses (slide.coulomb, slide.", signal.SIGTERM)
     assert run(cart, tmp_path) == 143
     said = capfd.readouterr()
     assert "vpptwin: SIGTERM: what was found so far is kept" in said.err
-    assert "Partial, stopped by SIGTERM: Suggested: dry friction of 1.1" in " ".join(said.out.split())
+    assert "Partial, stopped by SIGTERM: Suggested: dry friction of 1.08" in " ".join(said.out.split())
     verdict = json.loads((tmp_path / "verdict.json").read_text())
     assert set(verdict) >= {"logs", "twin", "samples", "before", "after", "gap", "unexplained", "suggested_experiment"}
     (cause,) = verdict["causes"]
@@ -69,7 +69,7 @@ def test_a_signal_keeps_what_was_found(
     assert cause["confidence"] <= 0.89
     assert verdict["after"]["chi2"] < verdict["before"]["chi2"]
     assert verdict["stopped"]["why"] == "SIGTERM"
-    assert "fitting others in the place of slide.coulomb" in verdict["stopped"]["not_done"]
+    assert "fitting further sets of effects" in verdict["stopped"]["not_done"]
     assert verdict["cleared"] == []
     report = (tmp_path / "report.html").read_text()
     assert "This verdict is partial: SIGTERM stopped the run" in report.replace("\N{NO-BREAK SPACE}", " ")
@@ -83,7 +83,9 @@ def test_a_signal_keeps_what_was_found(
     ("stage", "signals"),
     [
         ("linearising", [signal.SIGINT]),
-        pytest.param("checking rivals", [signal.SIGINT, signal.SIGINT], marks=pytest.mark.slow),
+        pytest.param(
+            "comparing hypotheses (slide.coulomb, slide.", [signal.SIGINT, signal.SIGINT], marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_signal_before_anything_and_a_second_one_end_it(

@@ -37,6 +37,8 @@ SUGGESTED = 0.89
 """Confidence up to which a cause is but suggested; `Criteria.suggested` caps it there."""
 FLOOR = 1.5
 """Held-out chi² up to which an error may be called noise; a right explanation leaves 1.05 to 1.15 on the drone."""
+FAR = 4.0
+"""Held-out chi² beyond which an error that disturbances of a usual size make is not told as so many times the noise."""
 WHOLE = 0.95
 """Shares of what drives a joint from which a force is as strong as that."""
 MOST_WITHIN = 4
@@ -314,6 +316,8 @@ def describe_unexplained(verdict: Verdict) -> str:
         like = f" What is left acts like {describe_force(left)}." if left.force is not None else ""
         if told:
             return f"Nothing that was looked at explains the error that is left.{like}"
+        if left.force is not None and verdict.after.chi2 > FAR:
+            return f"What is left acts like {describe_force(left)}: disturbances usually do as much."
         return f"The error still is {describe_miss(verdict)}; nothing that was looked at explains that.{like}"
     miss = "" if told else f" It still is {describe_miss(verdict)}."
     follows = f"it follows {join_words(left.depends_on)}" if left.depends_on else ""

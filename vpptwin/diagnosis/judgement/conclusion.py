@@ -62,7 +62,8 @@ def conclude(
     fit, criteria, guessed = selection.fit, search.criteria, search.bench.guessed
     before, after = held_out.score({}), held_out.score(fit.values)
     # Gusts that are known to blow make errors, too.
-    missed = after.chi2 > criteria.missed and (guessed or unexplained.significant)
+    compared = selection.probability is not None  # with the noise that is left as an unknown of every hypothesis
+    missed = after.chi2 > criteria.missed and ((guessed and not compared) or unexplained.significant)
     denied: dict[str, str] = {}
     if guessed:
         seen = weigh_causes(spec, measurements, fit.values, criteria)
@@ -71,7 +72,8 @@ def conclude(
     sober = 1.0 - (1.0 - criteria.sober) * min(2.0 * left, 1.0)
     if fit.effects and held_out.errors.worsens({}, fit.values):
         sober = criteria.sober
-    doubtful = selection.reduced or is_doubtful(search, held_out, fit, unexplained, after.chi2)
+    beyond = 0.0 if compared else after.chi2
+    doubtful = selection.reduced or is_doubtful(search, held_out, fit, unexplained, beyond)
     most = criteria.suggested if doubtful else 1.0
     causes, doubts = [], dict.fromkeys(selection.unconfirmed, UNCONFIRMED)
     doubts |= dict.fromkeys(selection.unrivalled & fit.effects, UNRIVALLED)
@@ -79,7 +81,7 @@ def conclude(
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, {})
-        if guessed and selection.probability is None and (doubt := doubt_gain(held_out, rest, fit.values)):
+        if guessed and not compared and (doubt := doubt_gain(held_out, rest, fit.values)):
             doubts[effect] = doubts.get(effect, doubt) if doubt == UNFELT else doubt
         selected = selection.confidence(effect)
         confidence = min(sober * selected, criteria.suggested if effect in doubts else most)

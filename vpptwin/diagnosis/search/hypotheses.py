@@ -11,12 +11,15 @@ from vpptwin.diagnosis.search.simulator import BenchSimulator, name_unknown
 from vpptwin.diagnosis.search.suspects import Trial as Start
 from vpptwin.diagnosis.search.suspects import Unknown as Suspect
 from vpptwin.diagnosis.search.suspects import list_trials
+from vpptwin.effects import Stage
 from vpptwin.inference.fit import Fitter, Trial, Unknown
 from vpptwin.inference.select import Comparison, Searcher
 from vpptwin.system.deadline import Deadline, Stopped
 
 TEMPER = 2.0
 """By which log evidence is divided: no twin is exact (see docs/inference.md)."""
+SCAN = np.geomspace(0.7, 70.0, 12)
+"""Strengths, in typical sizes, at which dry friction is tried."""
 ZERO = "qpos0"
 """What a wrong zero of an encoder changes in a twin."""
 COLUMNS = 1.5
@@ -39,7 +42,7 @@ def compare_hypotheses(
         Stopped: before every candidate has been tried once.
     """
     unknowns = {suspect.key: name_unknown(suspect) for suspect in suspects}
-    trials = [name_trial(start, unknowns) for start in list_trials(tuple(suspects), bench)]
+    trials = [name_trial(start, unknowns) for start in list_trials(tuple(suspects), bench)] + scan_friction(suspects)
     fitter = Fitter(BenchSimulator(bench), list(unknowns.values()), trials)
     effects = {suspect.effect.id: suspect.effect for suspect in suspects}
     usual = -float(np.log(max(len(effects), 2)))
@@ -60,6 +63,18 @@ def compare_hypotheses(
             raise
         return comparison, fitter, True
     return comparison, fitter, False
+
+
+def scan_friction(suspects: Sequence[Suspect]) -> list[Trial]:
+    """Laws of dry friction that the twin lacks, from weak to strong: where it sticks no slope tells how far to go."""
+    found = []
+    for suspect in suspects:
+        effect, parameter = suspect.effect, suspect.parameter
+        rubs = effect.stage is Stage.FRICTION and not effect.placed and suspect.nominal == parameter.off
+        if rubs and parameter is effect.parameters[0]:
+            values = parameter.clip(parameter.off + parameter.size * SCAN)
+            found += [Trial(effect.id, {suspect.key: float(value)}) for value in np.unique(values)]
+    return found
 
 
 def name_trial(start: Start, unknowns: dict[tuple[str, str], Unknown]) -> Trial:

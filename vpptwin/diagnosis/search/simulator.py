@@ -16,6 +16,7 @@ from vpptwin.diagnosis.search.likelihood import (
 )
 from vpptwin.diagnosis.search.suspects import Unknown as Suspect
 from vpptwin.effects import find_effect
+from vpptwin.inference.covariance import factor
 from vpptwin.inference.fit import Key, Point, Unknown
 from vpptwin.inference.model import ScalePrior
 
@@ -57,7 +58,7 @@ class BenchSimulator:
         response, bench = self._response(point), self.bench
         alike = likeness_of_gusts(bench, middles_of_segments(bench))
         count, values, _ = response.push.shape
-        root = np.linalg.cholesky(alike + 1e-9 * np.eye(bench.segments))
+        root = factor(alike + 1e-9 * np.eye(bench.segments))
         push = response.push.reshape(count, values, bench.segments, -1)
         push = np.einsum("kmsd,kst->kmtd", push, root).reshape(count, values, -1)
         far = FARTHEST * bench.std[..., None]
