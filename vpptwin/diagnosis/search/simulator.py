@@ -24,6 +24,8 @@ SHEET, ASSUMED = 0.1, 2.0
 """Standard deviations of the log of a sensor's noise: where it is known, and where the samples were looked at only."""
 FARTHEST = 1e5
 """Assumed noises by which a simulation can miss: what diverges is wrong, however far."""
+LESS = 1.0 / 3.0
+"""Share of its tolerance that is believed of what only takes energy out: a model without friction knows of none."""
 KEPT = 16
 """Responses that are kept."""
 CALM, VARIED = 0.2, 2.0
@@ -110,13 +112,8 @@ def find_floor(bench: Bench, channel: int) -> float:
 
 def name_unknown(suspect: Suspect) -> Unknown:
     """A suspect as `inference` asks for it."""
-    parameter = suspect.parameter
+    parameter, share = suspect.parameter, LESS if suspect.effect.dissipative else 1.0
     return Unknown(
-        suspect.key,
-        suspect.nominal,
-        suspect.width,
-        parameter.low,
-        parameter.high,
-        suspect.step_from,
-        0.0 if suspect.is_limit else parameter.tolerance,
-    )
+        suspect.key, suspect.nominal, suspect.width, parameter.low, parameter.high, suspect.step_from,
+        0.0 if suspect.is_limit else share * parameter.tolerance,
+    )  # fmt: skip
