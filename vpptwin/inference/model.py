@@ -20,6 +20,8 @@ from vpptwin.inference.bounded import solve_bounded
 
 ROUNDING = 1e-12
 """Added to the diagonal of matrices that are scaled to ones there."""
+MARGIN = 1e-9
+"""By which bounds are apart at least, in standard deviations."""
 SETTLED = {"ftol": 1e-6, "gtol": 0.02}
 MAX_SEARCH = 40
 """Steps at most of the search for noise scales."""
@@ -237,7 +239,9 @@ def find_mode(information: np.ndarray, at: np.ndarray, prior: Prior) -> tuple[np
     unit = 1.0 / np.sqrt(np.diag(precision))
     scaled = precision * unit * unit[:, None] + 1e-10 * np.eye(len(at))
     low, high = prior.low - at, prior.high - at
-    step = np.clip(solve_bounded(scaled, target * unit, (low / unit, high / unit))[0] * unit, low, high)
+    step = np.clip(
+        solve_bounded(scaled, target * unit, (low / unit - MARGIN, high / unit + MARGIN))[0] * unit, low, high
+    )
     square = information[-1, -1] - 2.0 * along @ step + step @ gram @ step
     away = (at + step - prior.mean) / prior.std
     return at + step, precision, float(square + away @ away)
