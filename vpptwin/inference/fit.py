@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -117,14 +117,13 @@ class Fitter:
         self._fits: dict[Hashable, Fit] = {}
 
     def of(self, effects: frozenset[str]) -> list[Unknown]:
-        """The parameters of some effects, in the order of the catalogue."""
+        """The parameters of some effects, in the order of their keys."""
         return [u for u in self.unknowns if u.key[0] in effects]
 
     def linearise(self, values: Point, unknowns: Sequence[Unknown]) -> Windows:
         """Windows about a point: derivatives by some parameters, and those of what is within its tolerance."""
         residual, slopes, at = self.differentiate(values, unknowns)
-        effects = {u.key[0] for u in unknowns}
-        loose = [i for i in self.tolerated if self.unknowns[i].key[0] not in effects]
+        loose = self.loose({u.key[0] for u in unknowns})
         slopes = np.concatenate([slopes, self.nominal[0][loose]]) if loose else slopes
         at = np.concatenate([at, [self.unknowns[i].mean for i in loose]])
         return self.compress(slopes, residual, at, self.simulator.respond(values))
@@ -146,6 +145,10 @@ class Fitter:
             if u.tolerance > 0.0 and float((((self.nominal[0][i] * u.tolerance) / noise) ** 2).sum()) > NOTICED
         ]  # fmt: skip
 
+    def loose(self, effects: Collection[str]) -> list[int]:
+        """Parameters that move within their tolerance beside some effects that are free."""
+        return [i for i in self.tolerated if self.unknowns[i].key[0] not in effects]
+
     def compress(
         self, slopes: np.ndarray, residual: np.ndarray, at: np.ndarray, response: tuple[np.ndarray, np.ndarray]
     ) -> Windows:
@@ -157,8 +160,7 @@ class Fitter:
 
     def prior_of(self, unknowns: Sequence[Unknown]) -> Prior:
         """The prior of some parameters, and of what is within its tolerance beside them, as `linearise` has them."""
-        effects = {u.key[0] for u in unknowns}
-        loose = [self.unknowns[i] for i in self.tolerated if self.unknowns[i].key[0] not in effects]
+        loose = [self.unknowns[i] for i in self.loose({u.key[0] for u in unknowns})]
         rows = [(u.mean, u.std, u.low, u.high) for u in unknowns]
         reach = [(u, WIDEST * u.tolerance) for u in loose]
         rows += [(u.mean, u.tolerance, max(u.low, u.mean - r), min(u.high, u.mean + r)) for u, r in reach]

@@ -170,8 +170,7 @@ class Searcher:
 
         def solve(rows: list[int], extra: tuple[float, ...] = ()) -> tuple[float, np.ndarray]:
             """Square that is left with parameters, one trial perhaps, and tolerances free; most probable values."""
-            effects = {unknowns[i].key[0] for i in rows}
-            loose = [i for i in fitter.tolerated if unknowns[i].key[0] not in effects]
+            loose = fitter.loose({unknowns[i].key[0] for i in rows})
             prior = fitter.prior_of([unknowns[i] for i in rows])
             if extra:
                 prior = Prior(*(np.append(a, b) for a, b in zip(

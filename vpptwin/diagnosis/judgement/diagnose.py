@@ -112,7 +112,7 @@ def diagnose(
         material = prepare(spec, flights, stage, progress, criteria, make_twin, causes is None, only, deadline)
         spec = material.search.bench.spec
         if material.inferred is not None:
-            selection = select_inferred(material.inferred, material.search, material.held_out)
+            selection = select_inferred(material.inferred, material.search)
         elif causes is None:
             selection = select_causes(material.search, material.held_out, stage, deadline)
         else:
@@ -236,16 +236,15 @@ def infer(
     window = spec.robot.window
     starts = list_starts(measurements, window)
     stage("linearising the twin about the logs")
-    given = spec, measurements, thin_out(spec, starts), window, False, progress, criteria
-    inferred = infer_causes(build_bench(*given, make_twin=make_twin), unknowns, stage, deadline)
-    deadline.held = True
+    few, given = thin_out(spec, starts), (window, False, progress, criteria)
+    bench = build_bench(spec, measurements, few, *given, make_twin=make_twin)
+    inferred = infer_causes(bench, unknowns, stage, deadline)  # which holds the deadline from here on
     stage("judging every stretch by fits to the others")
-    calm = rescale(measurements, build_bench(*given, make_twin=make_twin), inferred.scales)
-    search = Search(build_bench(spec, calm, thin_out(spec, starts), window, False, progress, criteria,
-                                make_twin=make_twin), unknowns)  # fmt: skip
+    calm = rescale(measurements, bench, inferred.scales)
+    search = Search(build_bench(spec, calm, few, *given, make_twin=make_twin), unknowns)
     held_out = open_held_out(spec, calm, starts, progress, criteria, make_twin)
     while True:
-        held_out.divide(*(deal(inferred, search.bench, bench) for bench in (held_out.short, held_out.errors.bench)))
+        held_out.divide(*(deal(inferred, search.bench, each) for each in (held_out.short, held_out.errors.bench)))
         values = inferred.chosen.values
         slight = [e for e in sorted(inferred.chosen.effects) if not is_material(search, held_out, values, e)]
         if not slight:

@@ -149,7 +149,7 @@ def rescale(measurements: Sequence[Measurements], bench: Bench, scales: Scales) 
     ]
 
 
-def select_inferred(inferred: Inferred, search: Search, held_out: HeldOut) -> Selection:
+def select_inferred(inferred: Inferred, search: Search) -> Selection:
     """The causes as the verdict takes them."""
     comparison, chosen = inferred.comparison, inferred.chosen
     fit = search.start
