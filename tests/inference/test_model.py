@@ -48,7 +48,7 @@ def test_marginal_likelihood_is_the_multivariate_normal(scales: Scales) -> None:
     eliminated = toy.windows(slopes).eliminate(scales)
     for theta in (np.zeros(2), np.array([0.7, -1.3])):
         left = np.append(-theta, 1.0)
-        squares = np.einsum("i,kij,j->k", left, eliminated.information, left)
+        squares = eliminated.square(left)
         found = -0.5 * (squares + eliminated.logdet).sum()
         expected = toy.density(toy.measured - np.tensordot(theta, slopes, 1), scales)
         assert found == pytest.approx(expected, abs=1e-6)
@@ -57,7 +57,8 @@ def test_marginal_likelihood_is_the_multivariate_normal(scales: Scales) -> None:
     for row, cov in enumerate(toy.covariance(scales)):
         columns = every[:, row, seen[row]]
         expected = columns @ np.linalg.solve(cov, columns.T)
-        np.testing.assert_allclose(eliminated.information[row], expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+        alone = toy.windows(slopes).take(np.array([row])).eliminate(scales).information
+        np.testing.assert_allclose(alone, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("reach", [5.0, 0.1])

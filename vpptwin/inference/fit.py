@@ -191,7 +191,7 @@ class Fitter:
         states, pushes = simulator.respond(values)
         layout = Layout(noise, [slice(None)], simulator.process)
         windows = Windows.compress(every, states, pushes, residual, np.zeros(len(every)), layout)
-        return windows.eliminate(Scales(np.zeros(1), scales.process)).information.sum(axis=0)
+        return windows.eliminate(Scales(np.zeros(1), scales.process)).information
 
     def fit(self, effects: frozenset[str], start: Point, scales: Scales | None = None, steps: int = STEPS) -> Fit:
         """Most probable parameters of some effects, from a start, after so many steps at most."""

@@ -138,29 +138,31 @@ class Windows:
 
     def restrict(self, parameters: np.ndarray) -> Windows:
         """With some of the parameters, the others staying where they are."""
+        if len(parameters) == len(self.at):
+            return self
         width = self.products.shape[-1]
         kept = np.concatenate([parameters, np.arange(len(self.at), width)]).astype(int)
         return replace(self, products=self.products[:, :, kept[:, None], kept], at=self.at[parameters])
 
     @cached_property
     def _blocks(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Products among [X U], (K, C, N²), between them and [J r], (K, C, N (P + 1)), and among those, (K, C, ...)."""
+        """Products among [X U], (K, C, N²), of them with [J r], (K, C, N (P + 1)), among those, (K, C, (P + 1)²)."""
         number, last = len(self.at), self.products.shape[-1] - 1
         noise, outer = np.arange(number, last), np.append(np.arange(number), last).astype(int)
         pairs = (noise, noise), (noise, outer), (outer, outer)
         shape = self.products.shape[:2]
         return tuple(self.products[:, :, a[:, None], b].reshape(*shape, -1) for a, b in pairs)  # type: ignore[return-value]
 
-    def weigh(self, scales: Scales) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same, summed over channels by what their noise is: (K, N, N), (K, N, P + 1), (K, P + 1, P + 1)."""
-        weight, count, free = np.exp(-2.0 * scales.sensor), len(self.counts), len(self.at) + 1
-        noise, across, outer = (weight @ block for block in self._blocks)
-        size = self.products.shape[-1] - free
-        return noise.reshape(count, size, size), across.reshape(count, size, free), outer.reshape(count, free, free)
+    @cached_property
+    def _outer(self) -> np.ndarray:
+        """Products among [J r] of all windows together, (C, (P + 1)²)."""
+        return np.asarray(self._blocks[2].sum(axis=0))
 
     def eliminate(self, scales: Scales) -> Eliminated:
         """Integrate the starting states and force pulses out."""
-        noise, across, outer = self.weigh(scales)
+        weight, count, free = np.exp(-2.0 * scales.sensor), len(self.counts), len(self.at) + 1
+        noise = (weight @ self._blocks[0]).reshape(count, self.states + len(self.process), -1)
+        across = (weight @ self._blocks[1]).reshape(*noise.shape[:2], free)
         size = np.concatenate([np.ones(self.states), np.exp(scales.process)[self.process]])
         inner = noise * size * size[:, None] + np.eye(len(size))
         across = across * size[:, None]
@@ -169,10 +171,9 @@ class Windows:
         root = np.linalg.cholesky(even)
         inverse = unit[:, :, None] * np.linalg.inv(even) * unit[:, None, :]
         solved = inverse @ across
-        information = outer - np.swapaxes(across, 1, 2) @ solved
         logdet = 2.0 * (np.log(np.diagonal(root, axis1=1, axis2=2)) - np.log(unit)).sum(axis=1)
         logdet += 2.0 * self.counts @ scales.sensor
-        return Eliminated(information, logdet, inverse, solved, size)
+        return Eliminated(self, scales, logdet, inverse, across, solved, size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,18 +181,34 @@ class Eliminated:
     """Windows in which only the parameters are left.
 
     Attributes:
-        information: inner products of [J | r] under S = σ² + X Xᵀ + U g² Uᵀ, (K, P + 1, P + 1).
+        windows: as they were.
+        scales: of their noises.
         logdet: log determinant of S, up to a constant, (K,).
         inverse: N⁻¹ of N = I + D [X U]ᵀ [X U] D / σ², with D the scales of states and pulses, (K, N, N).
-        solved: N⁻¹ times D [X U]ᵀ [J | r] / σ², (K, N, P + 1).
+        across: D [X U]ᵀ [J | r] / σ², (K, N, P + 1).
+        solved: N⁻¹ times that, (K, N, P + 1).
         size: D, (N,).
     """
 
-    information: np.ndarray
+    windows: Windows
+    scales: Scales
     logdet: np.ndarray
     inverse: np.ndarray
+    across: np.ndarray
     solved: np.ndarray
     size: np.ndarray
+
+    @cached_property
+    def information(self) -> np.ndarray:
+        """Inner products of [J | r] under S = σ² + X Xᵀ + U g² Uᵀ of all windows together, (P + 1, P + 1)."""
+        free = self.across.shape[2]
+        outer = (np.exp(-2.0 * self.scales.sensor) @ self.windows._outer).reshape(free, free)
+        return np.asarray(outer - self.across.reshape(-1, free).T @ self.solved.reshape(-1, free))
+
+    def square(self, left: np.ndarray) -> np.ndarray:
+        """Square of [J | r] times `left`, (P + 1,), under S in every window, (K,)."""
+        outer = np.exp(-2.0 * self.scales.sensor) @ self.windows._blocks[2]
+        return outer @ np.outer(left, left).ravel() - ((self.across @ left) * (self.solved @ left)).sum(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,20 +283,21 @@ def infer(
     def deviance(x: np.ndarray) -> tuple[float, np.ndarray]:
         scales = Scales(x[:channels], x[channels:])
         e = still.eliminate(scales)
-        mean, _, square = find_mode(e.information.sum(axis=0), still.at, own)
+        mean, _, square = find_mode(e.information, still.at, own)
         left = np.concatenate([still.at - mean, [1.0]])
         noise = e.solved @ left  # posterior mean of states and pulses, in their own scale
         # d log det / d log g = 2 (1 - N⁻¹ᵢᵢ), d square / d log g = -2 nᵢ², of every pulse i.
         drive = 2.0 * (1.0 - np.diagonal(e.inverse, axis1=1, axis2=2) - noise**2).sum(axis=0)[windows.states :]
         process = np.bincount(windows.process, drive, minlength=len(scales.process))
-        noises, across, outer = still._blocks
+        noises, across, _ = still._blocks
         pulses = noise * e.size
         shrunk = e.inverse * e.size * e.size[:, None] + pulses[:, :, None] * pulses[:, None, :]
         # d (log det + square) / d log σ of a channel = 2 (values - trace of N⁻¹ - squares left at the posterior mean).
         count = len(noise)
         spent = (noises @ shrunk.reshape(count, -1, 1)).sum(axis=(0, 2))
-        spent -= 2.0 * (across @ (pulses[:, :, None] * left).reshape(count, -1, 1)).sum(axis=(0, 2))
-        spent += (outer @ np.outer(left, left).ravel()).sum(axis=0)
+        met = across.reshape(-1, len(left)) @ left
+        spent -= 2.0 * (met.reshape(*across.shape[:2], -1) @ pulses[:, :, None]).sum(axis=(0, 2))
+        spent += still._outer @ np.outer(left, left).ravel()
         sensor = 2.0 * windows.counts.sum(axis=0) - 2.0 * np.exp(-2.0 * scales.sensor) * spent
         by_sensor, by_process = scale_prior.slope(scales)
         slope = np.concatenate([sensor + by_sensor, process + by_process])
@@ -293,7 +311,7 @@ def infer(
     )
     scales = Scales(found.x[:channels], found.x[channels:])
     total = windows.eliminate(scales)
-    information = total.information.sum(axis=0)
+    information = total.information
     free = np.append(np.flatnonzero(~held), len(at))
     mean = at.copy()
     mean[~held], _, square = find_mode(information[np.ix_(free, free)], still.at, own)
@@ -318,10 +336,10 @@ def predict_folds(
         fitted = infer(windows.take(train), prior, scale_prior, posterior.scales)
         e = windows.take(test).eliminate(fitted.scales)
         left = np.concatenate([windows.at - fitted.mean, [1.0]])
-        square = np.einsum("i,kij,j->k", left, e.information, left)
+        square = e.square(left)
         shared = 0.0
         if len(left) > 1:
-            total = e.information.sum(axis=0)
+            total = e.information
             along = total[:-1] @ left
             joint = fitted.precision + total[:-1, :-1]
             widening = np.linalg.slogdet(joint)[1] - np.linalg.slogdet(fitted.precision)[1]
