@@ -48,7 +48,7 @@ others; `python benchmarks/criteria.py --page > docs/criteria.md` generates this
 diagnosis was designed on, which does not ship; *calibrated*, with the sessions; *by hand*. Commits are those that set
 the values: `git show 4608193`. Most are by hand: they were changed while sessions with hidden effects were looked at,
 and which ones was not written down (those of seed 8001 among them). None is derived from theory; where a textbook
-value exists it stands beside. Seed 8001 is development, no test of them; [a fresh seed](benchmarks.md#a-fresh-seed)
+value exists it stands beside. Seed 8001 is development, no test of them; [a fresh seed](benchmarks.md#the-drone)
 is one, and `python benchmarks/hidden_effects.py --nightly`, on sessions that nobody has looked at.
 
 **What halving and doubling does**: how many verdicts change (a cause, its rivals, what is claimed with more than 0.9,
