@@ -48,7 +48,7 @@ class Criteria:
     start_angle: float = assumed(0.1, "rad", "the same of angles", "85fc87b")
     start_velocity: float = assumed(0.3, "m/s", "prior of a window's starting velocity", "85fc87b")
     start_rate: float = assumed(1.0, "rad/s", "the same of angular rates", "85fc87b")
-    gust: float = assumed(1.0, "", "force that nobody modelled, in multiples of what the robot says of it",
+    gust: float = assumed(1.0, "", "process noise, in multiples of what the robot states",
         "1 % of the drone's weight (85fc87b), 0.2 % of a typical force elsewhere (487b378)")
     least_gust: float = assumed(0.2, "", "bound of the gusts' strength, in multiples of what is assumed", "e1272d1")
     gust_doubt: float = assumed(2.0, "log", "standard deviation of the log of that strength", "e1272d1")
@@ -56,37 +56,37 @@ class Criteria:
         "68f7aa5 for their strength, 8838ea8 for stronger ones where it is assumed")
     usual_misfit: float = by_hand(3.0, "median", "misfit of a window from which it counts less, fitted or held out",
         "68f7aa5 (fitted), 668e32f (held out)")
-    nonlinear: float = by_hand(0.1, "", "share of a miss that linearisation is not believed to follow", "7ea694a")
+    nonlinear: float = by_hand(0.1, "", "share of a residual that linearisation may miss", "7ea694a")
     yielding: float = by_hand(300.0, "cost", "by which a looser response must win to set parameters", "de2cf5a")
-    most_tolerated: float = assumed(3.0, "tolerance", "within which an effect stays that is not suspected", "68f7aa5")
+    most_tolerated: float = assumed(3.0, "tolerance", "within which an effect that is no candidate stays", "68f7aa5")
     stretch: float = by_hand(1.2, "s", "windows that count as one when the scatter of a parameter is judged",
         "4 windows of 0.3 s at 2ae9ed6, 1.2 s since e1272d1")
 
     # Search: who is refitted.
     judging_worth: float = by_hand(0.5, "", "worth of an effect seen where it is judged, not fitted", "85407b0")
     half_seen: float = by_hand(50.0, "sigma²", "signal to noise at which an effect is half seen", "b8eee32")
-    shown: float = by_hand(100.0, "", "how well the flight with most misfit shows it, in halves seen; others by share",
+    shown: float = by_hand(100.0, "", "how well the log with most misfit shows it, in halves seen; others by share",
         "85dd805, sessions 94414/17 and 13989/56")
-    shortlist: int = by_hand(5, "", "suspects refitted at every step", "4 at 85fc87b, 5 since e1272d1")
-    starts: int = by_hand(2, "", "places of a shape or a limit from which a refit starts", "e1272d1")
-    few: int = assumed(17, "", "suspects up to which every one is refitted at every step, promising or not",
+    shortlist: int = by_hand(5, "", "candidates refitted at every step", "4 at 85fc87b, 5 since e1272d1")
+    starts: int = by_hand(2, "", "values of a shape or a limit from which a refit starts", "e1272d1")
+    few: int = assumed(17, "", "candidates up to which every one is refitted at every step",
         "16 at 4de4b66, 17 since 55f8389")
-    generous: int = assumed(10, "", "suspects refitted at every step of a rig of which little is known", "4de4b66")
+    generous: int = assumed(10, "", "candidates refitted at every step of an unknown rig", "4de4b66")
     neighbours: int = assumed(4, "", "sets of causes refitted that differ in two", "4de4b66")
     more_neighbours: int = assumed(8, "", "the same where sensors are assumed", "7d2f4f9")
-    worth_a_refit: float = by_hand(8.0, "cost", "drop by linearisation from which a suspect is refitted",
+    worth_a_refit: float = by_hand(8.0, "cost", "drop by linearisation from which a candidate is refitted",
         "2 at 85fc87b, 8 since e1272d1")
     rival_hope: float = by_hand(0.4, "", "share of a cause's drop from which a rival is refitted", "e1272d1")
     chance: float = by_hand(0.25, "", "share of the best drop from which another is judged", "b8eee32")
     most_causes: int = by_hand(5, "", "causes at most", "4 at 85fc87b, 6 at 68f7aa5, 5 since e1272d1")
-    most_steps: int = by_hand(9, "", "steps of the search, which could go on for ever", "85407b0")
+    most_steps: int = by_hand(9, "", "steps of the search at most", "85407b0")
     most_swaps: int = by_hand(2, "", "causes whose place a rival takes", "4 at e1272d1, 2 since 85407b0")
 
     # Judgement: what becomes a cause.
     bar: float = by_hand(10.0, "cost", "drop (twice the log of the evidence) that makes a cause",
         "16 at 85fc87b, 10 since e1272d1; a family-wise 1 % over 44 effects, χ²(1), would be 13.6")
     bars_fitted: float = by_hand(0.8, "bar", "that fitted windows alone must bring", "2fc0d73")
-    bars_together: float = by_hand(1.2, "bar", "that both must bring together", "2fc0d73")
+    bars_together: float = by_hand(1.2, "bar", "that fitted and held-out windows must bring together", "2fc0d73")
     bars_strong: float = by_hand(8.0, "bar", "evidence from which held-out windows need only not contradict",
         "10 at b3e12e5, 8 since e1272d1")
     sigmas_held_out: float = proposed(2.0, "sigma", "by which a cause must improve held-out windows",
@@ -136,7 +136,7 @@ class Criteria:
     sigmas_denied: float = assumed(3.0, "sigma", "by which a share must leave the next two to be denied", "4608193")
     least_seen: float = assumed(0.4, "", "share of a cause's force that inverse dynamics must see", "4608193")
     most_seen: float = assumed(2.5, "", "share of it that it may see at most", "4608193")
-    obeyed: float = assumed(0.25, "", "share of what moves a joint below which inputs in the log do not explain it",
+    obeyed: float = assumed(0.25, "", "share of what moves a joint below which logged inputs do not explain it",
         "98149db, a quadrotor's PWM at a fifth of its controller's rate")
     led: float = calibrated(0.6, "", "share of what turns a free body below which its attitude follows its log",
         "8838ea8: eight quadrotors of seed 37597 have 0.74 to 0.97, five flights of nanobench 0.17 to 0.34")
@@ -146,7 +146,7 @@ class Criteria:
         "4608193")
     unbalanced: float = assumed(1.5, "", "times the largest force that inputs, inertia and weight balance, for a cause",
         "4608193")
-    inexact: float = calibrated(0.02, "", "what the law of an effect may be wrong by, as a share of its strength",
+    inexact: float = calibrated(0.02, "", "error of the law of an effect, as a share of its strength",
         "sessions of seed 8001 at 99e2077: nine in ten 90 % intervals held the truth")
     inexact_friction: float = calibrated(0.05, "", "the same of laws of dry friction",
         "sessions of seed 8001 at 99e2077")
@@ -161,33 +161,33 @@ class Criteria:
         "681dcd4, sessions of seeds 8001, 8100 to 8105 and 8203: 4.8 without, 6.2 with an effect")
     doubted: float = calibrated(3.5, "sigma", "the same from which a cause beside it is but suggested",
         "b6dc5e6, sessions of seeds 8001, 8100 to 8105")
-    push: float = calibrated(0.25, "gust", "strength that must be foretold of it: tolerances make less",
+    push: float = calibrated(0.25, "gust", "strength of it that must be predicted: tolerances make less",
         "caaeec4, sessions of seeds 8001, 8100 to 8105")
     channel_level: float = by_hand(1.6, "", "the same of a channel's whitened residual", "e1272d1")
     astray: float = by_hand(6.0, "median", "which a window's square counts at most there", "5844f9d")
     depends: float = by_hand(0.1, "", "share of a missing force that a quantity must predict to be named",
         "0.2 at 85fc87b, 0.1 since e1272d1")
     structure: float = by_hand(0.25, "", "the same for other rigs to have something unexplained", "85407b0")
-    material: float = assumed(0.02, "", "share of what drives a joint from which a force that nobody explains matters",
+    material: float = assumed(0.02, "", "share of what drives a joint from which an unexplained force matters",
         "aede6c2: gusts and bumps indoors are some 0.1 to 1 %")
     noticed: float = assumed(0.005, "", "the same of a force that follows something", "aede6c2")
     missed: float = assumed(4.0, "", "held-out chi² from which there is a gap, named cause or not: twice the noise",
         "aede6c2")
-    matters: float = by_hand(0.05, "", "share of what was missing that must be left for it", "85407b0, 668e32f")
+    matters: float = by_hand(0.05, "", "share of the missing force that must remain for it", "85407b0, 668e32f")
     missing_force: float = assumed(30.0, "gust", "prior of the force that is missing: any effect, bounded if unseen",
         "169bbb3")
-    seen: float = by_hand(4.0, "sigma", "by which a typical size must stand out to be cleared",
+    seen: float = by_hand(4.0, "sigma", "by which a typical size must stand out to be ruled out",
         "e1272d1; a family-wise 1 % over 44 effects would be 3.7 sigma")
     known_width: float = by_hand(0.5, "width", "of the range looked through that a parameter must be known to",
         "e1272d1")
     worth_flying: float = by_hand(1.0, "sigma", "that an experiment must separate", "ff3d8cb")
 
     # Blows: what contacts do, which they alone show.
-    fewest_blows: int = assumed(6, "", "below which nothing is told", "c68b8f3")
-    by_chance: float = assumed(0.05, "", "odds at most against what is named foretelling blows better", "c68b8f3")
-    most_told: float = by_hand(3.0, "log odds", "that one blow gives at most: none decides alone", "aa5a677")
-    eased: float = by_hand(0.2, "", "share of the error of blows that a cause must explain", "c68b8f3")
-    nothing_left: float = by_hand(1.5, "", "chi² of blows, geometric mean, below which nothing is looked for",
+    fewest_blows: int = assumed(6, "", "impacts below which contacts are not judged", "c68b8f3")
+    by_chance: float = assumed(0.05, "", "odds at most against the named cause predicting impacts better", "c68b8f3")
+    most_told: float = by_hand(3.0, "log odds", "that one impact gives at most: none decides alone", "aa5a677")
+    eased: float = by_hand(0.2, "", "share of the error of impacts that a cause must explain", "c68b8f3")
+    nothing_left: float = by_hand(1.5, "", "chi² of impacts, geometric mean, below which no contact is a candidate",
         "c68b8f3")
 
 

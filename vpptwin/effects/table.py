@@ -20,25 +20,22 @@ ACTS_ON = {
     Stage.SLIP: "how dry friction acts, every step",
 }
 PREAMBLE = """\
-# Effects
+# The catalogue of effects
 
-Written by `vpptwin effects --markdown`; to change it, change the catalogue in `vpptwin/effects` and write it anew.
+Written by `vpptwin effects --markdown` from `vpptwin/effects`. These are the effects of the drone;
+`vpptwin effects --twin FILE` lists those of any rig. Add [your own](own_effects.md).
 
-At `off` an effect does nothing. Where `off` is the upper bound, the effect is a limit that nothing reaches there. A
-parameter that merely shapes an effect (`velocity`, `rest`, `place`, `width`, `height`, `frequency`, `zeta`) does
-nothing while the strength before it is off; its `off` is a typical value, and its tolerance lets any value pass.
-
-A twin YAML ([twin.md](twin.md)) takes values within `bounds`. `tolerance` is the deviation that a well-built rig may
-show unremarked: below it a diagnosis accuses nothing. Training draws from the prior. `source` tells where these
-numbers come from: nobody has measured this rig, so nearly all are [assumptions](assumed.md), those of `vehicle.yaml`
-too. Look-alikes are hard to tell apart: that takes the right manoeuvre.
-
-A fingerprint shows what an effect does to a flight with steps along x and z, flips and inverted hover: left how the
-motion, or what a sensor says of it, departs from that of a twin without the effect within 50 ms under the same
-commands; right the same departures over what they follow. `vpptwin effects --pictures docs/effects` draws them anew,
-each effect five typical sizes away from off. Contacts have none: nothing touches in that flight.
-
-What is missing here you can add without touching our code: [an effect of your own](own_effects.md).
+- **off**: the value at which the effect does nothing. Where it is the upper bound, the effect is a limit. A parameter
+  that only shapes an effect (`velocity`, `rest`, `place`, `width`, `height`, `frequency`, `zeta`) does nothing while
+  the strength before it is off.
+- **bounds**: what a [twin file](twin.md) accepts.
+- **tolerance**: the deviation that a well-built rig may have; below it a diagnosis names nothing.
+- **prior**: from which training draws.
+- **source**: where these numbers come from. Nobody has measured this rig, so most are [assumptions](assumed.md).
+- **look-alikes**: effects that are hard to separate from it.
+- **fingerprint**: what five typical sizes do to a flight with steps, flips and inverted hover. Left: the departure of
+  motion or sensor from the nominal twin within 50 ms. Right: the same over the quantity that it follows.
+  `vpptwin effects --pictures docs/effects` draws them.
 """
 
 
