@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 from vpptwin.inference.fit import Key, Point, Unknown
-from vpptwin.inference.model import Layout, Prior, ScalePrior, Scales, Windows
+from vpptwin.inference.model import Layout, Nuisance, Prior, ScalePrior, Scales, Windows
 
 SIGMA, PUSH = np.array([0.1, 0.3]), np.array([0.5, 2.0])
 """True noise of two channels, and of the pulses on two degrees of freedom."""
@@ -34,9 +34,9 @@ class Toy:
         """Measured less simulated, (V, K, M)."""
         return self.measured - np.stack([self.law(point) for point in points])
 
-    def respond(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
+    def respond(self, point: Point) -> Nuisance:
         """The same columns everywhere."""
-        return self.states, self.pushes
+        return Nuisance.of(self.states, self.pushes, Layout(self.noise, self.columns, self.process))
 
     def misjudge(self, factor: float) -> Toy:
         """The same measurements, their noise assumed larger by a factor."""
@@ -44,9 +44,7 @@ class Toy:
 
     def windows(self, slopes: np.ndarray) -> Windows:
         """Compressed about zero, with derivatives (P, K, M)."""
-        layout = Layout(self.noise, self.columns, self.process)
-        at = np.zeros(len(slopes))
-        return Windows.compress(slopes, self.states, self.pushes, self.residuals([{}], {})[0], at, layout)
+        return self.respond({}).compress(slopes, self.residuals([{}], {})[0], np.zeros(len(slopes)))
 
     def covariance(self, scales: Scales) -> list[np.ndarray]:
         """Of what was measured in every window: sensor noise, starting states and pulses, (m, m) each."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.linalg.lapack import dpotri
 
 from vpptwin.system.errors import InputError
 
@@ -41,6 +42,12 @@ def invert(matrix: np.ndarray) -> np.ndarray:
     if not sound.all():
         found[~sound] = one_by_one(invert_mended, matrix[~sound])
     return found
+
+
+def invert_factored(root: np.ndarray) -> np.ndarray:
+    """Inverses of L L' of lower triangular factors (K, n, n), several times as fast as `invert`."""
+    upper = np.stack([dpotri(each.T)[0] for each in root])  # LAPACK reads the other way round, and fills one half
+    return np.asarray(np.triu(upper) + np.swapaxes(np.triu(upper, 1), 1, 2))
 
 
 def solve(matrix: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from vpptwin.inference.model import Layout, Posterior, Prior, ScalePrior, Scales, Windows, infer
+from vpptwin.inference.model import Nuisance, Posterior, Prior, ScalePrior, Scales, Windows, infer
 
 Key = tuple[str, str]
 """Effect id and parameter name."""
@@ -18,8 +18,8 @@ STEPS, SHORTEST = 15, 0.1
 """Steps of Gauss-Newton at most, and the shortest stride."""
 WIDEST = 3.0
 """Tolerances by which what is not suspected may be off."""
-NOTICED = 0.5
-"""Square of the signal to noise from which a tolerance is noticed."""
+NOTICED, MOST_LOOSE = 0.5, 24
+"""Square of the signal to noise from which a tolerance is noticed, and tolerances at most."""
 AFFORDABLE = 400_000
 """Values up to which trials are simulated anew beside every fit; beyond, they are as beside nothing."""
 SETTLED = 0.15
@@ -51,16 +51,13 @@ class Unknown:
 class Simulator(Protocol):
     """K windows of a simulation beside what was measured, M values each in C channels."""
 
-    noise: np.ndarray  # assumed standard deviation of every value, (K, M); infinite where nothing was measured
-    columns: Sequence[slice]  # where every channel lies among the M
-    process: np.ndarray  # degree of freedom of every force pulse, (G,)
     scale_prior: ScalePrior
 
     def residuals(self, points: Sequence[Point], about: Point) -> np.ndarray:
         """Measured less simulated at every point, (V, K, M), finite, from starting states as seen `about` one."""
 
-    def respond(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives by starting states and force pulses, in units of their priors, (K, M, S) and (K, M, G)."""
+    def respond(self, point: Point) -> Nuisance:
+        """What starting states and force pulses do about a point, in units of their priors."""
 
 
 @dataclass(frozen=True)
@@ -108,13 +105,25 @@ class Fit:
 
 
 class Fitter:
-    """Fits hypotheses on one simulator. What it remembers is keyed by value: the order of questions cannot matter."""
+    """Fits hypotheses on one simulator. What it remembers is keyed by value: the order of questions cannot matter.
 
-    def __init__(self, simulator: Simulator, unknowns: Sequence[Unknown], trials: Sequence[Trial] = ()) -> None:
-        self.simulator = simulator
+    Args:
+        simulator: of all windows.
+        unknowns: parameters of all effects that are candidates.
+        trials: where else fits may start.
+        scout: of some of the windows, on which candidates are screened; None for all.
+    """
+
+    def __init__(
+        self, simulator: Simulator, unknowns: Sequence[Unknown], trials: Sequence[Trial] = (),
+        scout: Simulator | None = None,
+    ) -> None:  # fmt: skip
+        self.simulator, self.scout = simulator, scout or simulator
         self.unknowns = tuple(sorted(unknowns, key=lambda u: u.key))
         self.trials = tuple(sorted(trials, key=lambda t: (t.effect, sorted(t.values.items()))))
         self._fits: dict[Hashable, Fit] = {}
+        self._loose: dict[frozenset[int], list[int]] = {}
+        self._nominal: dict[int, np.ndarray] = {}
 
     def of(self, effects: frozenset[str]) -> list[Unknown]:
         """The parameters of some effects, in the order of their keys."""
@@ -122,41 +131,56 @@ class Fitter:
 
     def linearise(self, values: Point, unknowns: Sequence[Unknown]) -> Windows:
         """Windows about a point: derivatives by some parameters, and those of what is within its tolerance."""
-        residual, slopes, at = self.differentiate(values, unknowns)
+        residual, slopes, at = differentiate(self.simulator, values, unknowns)
         loose = self.loose({u.key[0] for u in unknowns})
-        slopes = np.concatenate([slopes, self.nominal[0][loose]]) if loose else slopes
+        if new := [i for i in loose if i not in self._nominal]:
+            found = differentiate(self.simulator, {}, [self.unknowns[i] for i in new])[1]
+            self._nominal |= dict(zip(new, found))
+        slopes = np.concatenate([slopes, *(self._nominal[i][None] for i in loose)])
         at = np.concatenate([at, [self.unknowns[i].mean for i in loose]])
-        return self.compress(slopes, residual, at, self.simulator.respond(values))
-
-    def differentiate(self, values: Point, unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residual (K, M) at a point, derivatives of the simulation by parameters, (P, K, M), and where, (P,)."""
-        at = np.array([values.get(u.key, u.mean) for u in unknowns])
-        moved = np.array([np.clip(v + u.step(v), u.low, u.high) for u, v in zip(unknowns, at)])
-        points = [dict(values), *({**values, u.key: float(v)} for u, v in zip(unknowns, moved))]
-        residuals, steps = self.simulator.residuals(points, values), moved - at
-        return residuals[0], (residuals[0] - residuals[1:]) / np.where(steps == 0.0, 1.0, steps)[:, None, None], at
+        return self.simulator.respond(values).compress(slopes, residual, at)
 
     @cached_property
-    def tolerated(self) -> list[int]:
-        """Parameters whose tolerance these measurements would notice."""
-        noise = self.simulator.noise
-        return [
-            i for i, u in enumerate(self.unknowns)
-            if u.tolerance > 0.0 and float((((self.nominal[0][i] * u.tolerance) / noise) ** 2).sum()) > NOTICED
-        ]  # fmt: skip
+    def nominal(self) -> tuple[np.ndarray, np.ndarray]:
+        """Slopes by every parameter about the nominal point, (P, k, M), and changes by trials, (T, k, M), of scouts."""
+        _, slopes, _ = differentiate(self.scout, {}, self.unknowns)
+        if not self.trials:
+            return slopes, np.empty((0, *slopes.shape[1:]))
+        residuals = self.scout.residuals([{}, *(t.values for t in self.trials)], {})
+        return slopes, residuals[0] - residuals[1:]
+
+    @cached_property
+    def noticed(self) -> tuple[list[int], np.ndarray]:
+        """Parameters with a tolerance that measurements notice, (L,), and how they do, (L, L).
+
+        That is the information on them, in squares of their tolerances, under the noise that is expected.
+        """
+        size = np.array([u.tolerance for u in self.unknowns])
+        rows = np.flatnonzero(size)
+        nuisance = self.scout.respond({})
+        windows = nuisance.compress(self.nominal[0][rows], np.zeros(nuisance.columns.shape[:2]), np.zeros(len(rows)))
+        found = windows.eliminate(self.simulator.scale_prior.start).information[:-1, :-1]
+        found = self._share * found * size[rows] * size[rows, None]
+        kept = np.flatnonzero(np.diag(found) > NOTICED)
+        return [int(i) for i in rows[kept]], found[np.ix_(kept, kept)]
+
+    @cached_property
+    def _share(self) -> float:
+        """Windows for every one that scouts look at."""
+        count, few = (len(each.respond({}).columns) for each in (self.simulator, self.scout))
+        return count / few
 
     def loose(self, effects: Collection[str]) -> list[int]:
-        """Parameters that move within their tolerance beside some effects that are free."""
-        return [i for i in self.tolerated if self.unknowns[i].key[0] not in effects]
+        """Parameters that move within their tolerance beside some effects that are free.
 
-    def compress(
-        self, slopes: np.ndarray, residual: np.ndarray, at: np.ndarray, response: tuple[np.ndarray, np.ndarray]
-    ) -> Windows:
-        """Windows from derivatives (P, K, M) and a residual (K, M)."""
-        simulator = self.simulator
-        states, pushes = response
-        layout = Layout(simulator.noise, simulator.columns, simulator.process)
-        return Windows.compress(slopes, states, pushes, residual, at, layout)
+        Those that are noticed and that no others make up for: pivots of a Cholesky factor, the largest first.
+        """
+        own = frozenset(i for i in self.noticed[0] if self.unknowns[i].key[0] in effects)
+        if own not in self._loose:
+            rest = [k for k, i in enumerate(self.noticed[0]) if i not in own]
+            chosen = pick_pivots(self.noticed[1][np.ix_(rest, rest)], NOTICED, MOST_LOOSE)
+            self._loose[own] = sorted(self.noticed[0][rest[k]] for k in chosen)
+        return self._loose[own]
 
     def prior_of(self, unknowns: Sequence[Unknown]) -> Prior:
         """The prior of some parameters, and of what is within its tolerance beside them, as `linearise` has them."""
@@ -166,32 +190,18 @@ class Fitter:
         rows += [(u.mean, u.tolerance, max(u.low, u.mean - r), min(u.high, u.mean + r)) for u, r in reach]
         return Prior(*np.array(rows).reshape(-1, 4).T)
 
-    @cached_property
-    def nominal(self) -> tuple[np.ndarray, np.ndarray]:
-        """Slopes by every parameter about the nominal point, (P, K, M), and changes by trials, (T, K, M)."""
-        _, slopes, _ = self.differentiate({}, self.unknowns)
-        if not self.trials:
-            return slopes, np.empty((0, *slopes.shape[1:]))
-        residuals = self.simulator.residuals([{}, *(t.values for t in self.trials)], {})
-        return slopes, residuals[0] - residuals[1:]
-
     def screen(self, fit: Fit) -> np.ndarray:
         """Inner products of parameters, trials and what a fit misses, (P + T + 1, P + T + 1), under its noise."""
-        simulator, scales, values = self.simulator, fit.posterior.scales, fit.values
-        residual, slopes, _ = self.differentiate(values, self.unknowns)
+        scales, values = fit.posterior.scales, fit.values
+        residual, slopes, _ = differentiate(self.scout, values, self.unknowns)
         changed = self.nominal[1]
         if values and len(self.trials) * residual.size < AFFORDABLE:
             points = [dict(values), *({**values, **t.values} for t in self.trials)]
-            residuals = simulator.residuals(points, values)
+            residuals = self.scout.residuals(points, values)
             changed = residuals[0] - residuals[1:]
-        noise = simulator.noise.copy()
-        for columns, scale in zip(simulator.columns, np.exp(scales.sensor)):
-            noise[:, columns] *= scale
         every = np.concatenate([slopes, changed])
-        states, pushes = simulator.respond(values)
-        layout = Layout(noise, [slice(None)], simulator.process)
-        windows = Windows.compress(every, states, pushes, residual, np.zeros(len(every)), layout)
-        return windows.eliminate(Scales(np.zeros(1), scales.process)).information
+        windows = self.scout.respond(values).merge(scales).compress(every, residual, np.zeros(len(every)))
+        return self._share * windows.eliminate(Scales(np.zeros(1), scales.process)).information
 
     def fit(self, effects: frozenset[str], start: Point, scales: Scales | None = None, steps: int = STEPS) -> Fit:
         """Most probable parameters of some effects, from a start, after so many steps at most."""
@@ -228,3 +238,29 @@ class Fitter:
         assert best is not None
         self._fits[key] = best
         return best
+
+
+def differentiate(
+    simulator: Simulator, values: Point, unknowns: Sequence[Unknown]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residual (K, M) at a point, derivatives of the simulation by parameters, (P, K, M), and where, (P,)."""
+    at = np.array([values.get(u.key, u.mean) for u in unknowns])
+    moved = np.array([np.clip(v + u.step(v), u.low, u.high) for u, v in zip(unknowns, at)])
+    points = [dict(values), *({**values, u.key: float(v)} for u, v in zip(unknowns, moved))]
+    residuals, steps = simulator.residuals(points, values), moved - at
+    return residuals[0], (residuals[0] - residuals[1:]) / np.where(steps == 0.0, 1.0, steps)[:, None, None], at
+
+
+def pick_pivots(matrix: np.ndarray, least: float, most: int) -> list[int]:
+    """Rows of a covariance (n, n) that leave no other with a variance above `least`, `most` rows at most.
+
+    Pivots of its Cholesky factor (Higham, Analysis of the Cholesky decomposition of a semi-definite matrix, 1990).
+    """
+    left, factors, chosen = np.diag(matrix).copy(), np.empty((0, len(matrix))), []
+    while len(chosen) < most and left.size and left.max() > least:
+        row = int(left.argmax())
+        factor = (matrix[row] - factors[:, row] @ factors) / np.sqrt(left[row])
+        factors, left = np.vstack([factors, factor]), left - factor**2
+        left[row] = 0.0
+        chosen.append(row)
+    return chosen

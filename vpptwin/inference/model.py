@@ -9,7 +9,7 @@ products of columns are all that is ever needed (BDA3, ch. 14).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from vpptwin.inference.bounded import solve_bounded
+from vpptwin.inference.covariance import factor, invert_factored
 
 ROUNDING = 1e-12
 """Added to the diagonal of matrices that are scaled to ones there."""
@@ -103,77 +104,107 @@ class Layout(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class Nuisance:
+    """What starting states and force pulses do in K windows: hypotheses that respond alike share it.
+
+    Attributes:
+        columns: [X | U] over the assumed noise, (K, M, N).
+        layout: of the M values.
+        states: number of columns of X.
+        gram: their inner products in every window and channel, (K, C, N²).
+        counts: measured values in every window and channel, (K, C).
+    """
+
+    columns: np.ndarray
+    layout: Layout
+    states: int
+    gram: np.ndarray
+    counts: np.ndarray
+
+    @classmethod
+    def of(cls, states: np.ndarray, pushes: np.ndarray, layout: Layout) -> Nuisance:
+        """From columns X (K, M, S) and U (K, M, G)."""
+        columns = np.concatenate([states, pushes], axis=2) / layout.noise[..., None]
+        gram = [np.swapaxes(columns[:, c], 1, 2) @ columns[:, c] for c in layout.columns]
+        counts = np.stack([np.isfinite(layout.noise[:, c]).sum(axis=1) for c in layout.columns], axis=1)
+        return cls(columns, layout, states.shape[2], np.stack(gram, axis=1).reshape(*counts.shape, -1), counts)
+
+    def take(self, rows: np.ndarray) -> Nuisance:
+        """Some of the windows."""
+        layout = self.layout._replace(noise=self.layout.noise[rows])
+        return Nuisance(self.columns[rows], layout, self.states, self.gram[rows], self.counts[rows])
+
+    def merge(self, scales: Scales) -> Nuisance:
+        """With all channels in one, whose noise is that of scales."""
+        factor = np.ones(self.columns.shape[1])
+        for columns, scale in zip(self.layout.columns, np.exp(scales.sensor)):
+            factor[columns] = scale
+        columns = self.columns / factor[:, None]
+        layout = self.layout._replace(noise=self.layout.noise * factor, columns=[slice(None)])
+        gram, counts = np.swapaxes(columns, 1, 2) @ columns, self.counts.sum(axis=1, keepdims=True)
+        return Nuisance(columns, layout, self.states, gram.reshape(len(gram), 1, -1), counts)
+
+    def compress(self, slopes: np.ndarray, residual: np.ndarray, at: np.ndarray) -> Windows:
+        """Windows from derivatives (P, K, M) at a point (P,) and a residual (K, M)."""
+        outer = np.concatenate([slopes, residual[None]]) / self.layout.noise
+        outer = np.moveaxis(outer, 0, -1)
+        shape = *self.counts.shape, -1
+        across, products = [], []
+        for c in self.layout.columns:
+            across.append(np.swapaxes(self.columns[:, c], 1, 2) @ outer[:, c])
+            products.append(np.swapaxes(outer[:, c], 1, 2) @ outer[:, c])
+        return Windows(self, np.stack(across, axis=1).reshape(shape), np.stack(products, axis=1).reshape(shape), at)
+
+
+@dataclass(frozen=True, eq=False)
 class Windows:
     """K windows about one point, as inner products.
 
     Attributes:
-        products: of the columns [J | X | U | r] in every window and channel, over the assumed noise, (K, C, n, n).
-        counts: measured values in every window and channel, (K, C).
+        nuisance: what starting states and pulses do.
+        across: products of [X | U] with [J | r] in every window and channel, (K, C, N (P + 1)).
+        outer: those among [J | r], (K, C, (P + 1)²).
         at: the point, (P,).
-        states: number of columns of X.
-        process: degree of freedom of every column of U, (G,).
     """
 
-    products: np.ndarray
-    counts: np.ndarray
+    nuisance: Nuisance
+    across: np.ndarray
+    outer: np.ndarray
     at: np.ndarray
-    states: int
-    process: np.ndarray
-
-    @classmethod
-    def compress(
-        cls, slopes: np.ndarray, states: np.ndarray, pushes: np.ndarray, residual: np.ndarray, at: np.ndarray,
-        layout: Layout,
-    ) -> Windows:  # fmt: skip
-        """From slopes (P, K, M) at a point (P,), columns X (K, M, S) and U (K, M, G), and a residual (K, M)."""
-        design = np.concatenate([np.moveaxis(slopes, 0, -1), states, pushes, residual[..., None]], axis=2)
-        design = design / layout.noise[..., None]
-        products = np.stack([np.swapaxes(design[:, c], 1, 2) @ design[:, c] for c in layout.columns], axis=1)
-        counts = np.stack([np.isfinite(layout.noise[:, c]).sum(axis=1) for c in layout.columns], axis=1)
-        return cls(products, counts, at, states.shape[2], layout.process)
 
     def take(self, rows: np.ndarray) -> Windows:
         """Some of the windows."""
-        return replace(self, products=self.products[rows], counts=self.counts[rows])
+        return Windows(self.nuisance.take(rows), self.across[rows], self.outer[rows], self.at)
 
     def restrict(self, parameters: np.ndarray) -> Windows:
         """With some of the parameters, the others staying where they are."""
-        if len(parameters) == len(self.at):
+        free = len(self.at) + 1
+        if len(parameters) == free - 1:
             return self
-        width = self.products.shape[-1]
-        kept = np.concatenate([parameters, np.arange(len(self.at), width)]).astype(int)
-        return replace(self, products=self.products[:, :, kept[:, None], kept], at=self.at[parameters])
+        kept, shape = np.append(parameters, free - 1).astype(int), self.nuisance.counts.shape
+        across = self.across.reshape(*shape, -1, free)[..., kept].reshape(*shape, -1)
+        outer = self.outer.reshape(*shape, free, free)[:, :, kept[:, None], kept].reshape(*shape, -1)
+        return Windows(self.nuisance, across, outer, self.at[parameters])
 
     @cached_property
-    def _blocks(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Products among [X U], (K, C, N²), of them with [J r], (K, C, N (P + 1)), among those, (K, C, (P + 1)²)."""
-        number, last = len(self.at), self.products.shape[-1] - 1
-        noise, outer = np.arange(number, last), np.append(np.arange(number), last).astype(int)
-        pairs = (noise, noise), (noise, outer), (outer, outer)
-        shape = self.products.shape[:2]
-        return tuple(self.products[:, :, a[:, None], b].reshape(*shape, -1) for a, b in pairs)  # type: ignore[return-value]
-
-    @cached_property
-    def _outer(self) -> np.ndarray:
-        """Products among [J r] of all windows together, (C, (P + 1)²)."""
-        return np.asarray(self._blocks[2].sum(axis=0))
+    def total(self) -> np.ndarray:
+        """Products among [J | r] of all windows together, (C, (P + 1)²)."""
+        return np.asarray(self.outer.sum(axis=0))
 
     def eliminate(self, scales: Scales) -> Eliminated:
         """Integrate the starting states and force pulses out."""
-        weight, count, free = np.exp(-2.0 * scales.sensor), len(self.counts), len(self.at) + 1
-        noise = (weight @ self._blocks[0]).reshape(count, self.states + len(self.process), -1)
-        across = (weight @ self._blocks[1]).reshape(*noise.shape[:2], free)
-        size = np.concatenate([np.ones(self.states), np.exp(scales.process)[self.process]])
+        nuisance, weight, free = self.nuisance, np.exp(-2.0 * scales.sensor), len(self.at) + 1
+        size = np.concatenate([np.ones(nuisance.states), np.exp(scales.process)[nuisance.layout.process]])
+        noise = (weight @ nuisance.gram).reshape(-1, len(size), len(size))
+        across = (weight @ self.across).reshape(-1, len(size), free) * size[:, None]
         inner = noise * size * size[:, None] + np.eye(len(size))
-        across = across * size[:, None]
         unit = 1.0 / np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
         even = inner * unit[:, :, None] * unit[:, None, :] + ROUNDING * np.eye(len(size))
-        root = np.linalg.cholesky(even)
-        inverse = unit[:, :, None] * np.linalg.inv(even) * unit[:, None, :]
-        solved = inverse @ across
+        root = factor(even)
+        inverse = unit[:, :, None] * invert_factored(root) * unit[:, None, :]
         logdet = 2.0 * (np.log(np.diagonal(root, axis1=1, axis2=2)) - np.log(unit)).sum(axis=1)
-        logdet += 2.0 * self.counts @ scales.sensor
-        return Eliminated(self, scales, logdet, inverse, across, solved, size)
+        logdet += 2.0 * nuisance.counts @ scales.sensor
+        return Eliminated(self, scales, logdet, inverse, across, inverse @ across, size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,12 +233,12 @@ class Eliminated:
     def information(self) -> np.ndarray:
         """Inner products of [J | r] under S = σ² + X Xᵀ + U g² Uᵀ of all windows together, (P + 1, P + 1)."""
         free = self.across.shape[2]
-        outer = (np.exp(-2.0 * self.scales.sensor) @ self.windows._outer).reshape(free, free)
+        outer = (np.exp(-2.0 * self.scales.sensor) @ self.windows.total).reshape(free, free)
         return np.asarray(outer - self.across.reshape(-1, free).T @ self.solved.reshape(-1, free))
 
     def square(self, left: np.ndarray) -> np.ndarray:
         """Square of [J | r] times `left`, (P + 1,), under S in every window, (K,)."""
-        outer = np.exp(-2.0 * self.scales.sensor) @ self.windows._blocks[2]
+        outer = np.exp(-2.0 * self.scales.sensor) @ self.windows.outer
         return outer @ np.outer(left, left).ravel() - ((self.across @ left) * (self.solved @ left)).sum(axis=1)
 
 
@@ -276,40 +307,46 @@ def infer(
         start: scales from which the search begins.
         held: which parameters stay where they are, (P,) bool; None for none.
     """
-    channels, at = windows.counts.shape[1], windows.at
+    nuisance, at = windows.nuisance, windows.at
+    channels, driven = nuisance.counts.shape[1], nuisance.layout.process
     held = np.zeros(len(at), bool) if held is None else held
     still, own = windows.restrict(np.flatnonzero(~held)), prior.take(~held)
 
-    def deviance(x: np.ndarray) -> tuple[float, np.ndarray]:
+    # Its curvature by every log σ is 4 a value at the mode, and by log g up to 4 a pulse.
+    count = len(nuisance.counts)
+    informed = np.concatenate([nuisance.counts.sum(axis=0), count * np.bincount(driven)])
+    unit = 0.5 / np.sqrt(np.maximum(informed, 1.0))
+
+    def deviance(moved: np.ndarray) -> tuple[float, np.ndarray]:
+        x = unit * moved
         scales = Scales(x[:channels], x[channels:])
         e = still.eliminate(scales)
         mean, _, square = find_mode(e.information, still.at, own)
         left = np.concatenate([still.at - mean, [1.0]])
         noise = e.solved @ left  # posterior mean of states and pulses, in their own scale
         # d log det / d log g = 2 (1 - N⁻¹ᵢᵢ), d square / d log g = -2 nᵢ², of every pulse i.
-        drive = 2.0 * (1.0 - np.diagonal(e.inverse, axis1=1, axis2=2) - noise**2).sum(axis=0)[windows.states :]
-        process = np.bincount(windows.process, drive, minlength=len(scales.process))
-        noises, across, _ = still._blocks
+        drive = 2.0 * (1.0 - np.diagonal(e.inverse, axis1=1, axis2=2) - noise**2).sum(axis=0)[nuisance.states :]
+        process = np.bincount(driven, drive, minlength=len(scales.process))
         pulses = noise * e.size
         shrunk = e.inverse * e.size * e.size[:, None] + pulses[:, :, None] * pulses[:, None, :]
         # d (log det + square) / d log σ of a channel = 2 (values - trace of N⁻¹ - squares left at the posterior mean).
-        count = len(noise)
-        spent = (noises @ shrunk.reshape(count, -1, 1)).sum(axis=(0, 2))
-        met = across.reshape(-1, len(left)) @ left
-        spent -= 2.0 * (met.reshape(*across.shape[:2], -1) @ pulses[:, :, None]).sum(axis=(0, 2))
-        spent += still._outer @ np.outer(left, left).ravel()
-        sensor = 2.0 * windows.counts.sum(axis=0) - 2.0 * np.exp(-2.0 * scales.sensor) * spent
+        spent = (nuisance.gram @ shrunk.reshape(count, -1, 1)).sum(axis=(0, 2))
+        met = still.across.reshape(-1, len(left)) @ left
+        spent -= 2.0 * (met.reshape(*nuisance.counts.shape, -1) @ pulses[:, :, None]).sum(axis=(0, 2))
+        spent += still.total @ np.outer(left, left).ravel()
+        sensor = 2.0 * nuisance.counts.sum(axis=0) - 2.0 * np.exp(-2.0 * scales.sensor) * spent
         by_sensor, by_process = scale_prior.slope(scales)
-        slope = np.concatenate([sensor + by_sensor, process + by_process])
+        slope = unit * np.concatenate([sensor + by_sensor, process + by_process])
         return square + float(e.logdet.sum()) + scale_prior.cost(scales), slope
 
     x0 = np.concatenate([start.sensor, start.process])
-    bounds = scale_prior.bounds
-    x0 = np.clip(x0, *np.array(bounds).T)
+    bounds = np.array(scale_prior.bounds) / unit[:, None]
+    x0 = np.clip(x0 / unit, *bounds.T)
     found = minimize(
         deviance, x0, jac=True, method="L-BFGS-B", bounds=bounds, options=SETTLED | {"maxiter": MAX_SEARCH}
     )
-    scales = Scales(found.x[:channels], found.x[channels:])
+    x = unit * found.x
+    scales = Scales(x[:channels], x[channels:])
     total = windows.eliminate(scales)
     information = total.information
     free = np.append(np.flatnonzero(~held), len(at))

@@ -52,6 +52,8 @@ from vpptwin.twin.twin import Twin
 
 MMAP_THRESHOLD = -3
 """M_MMAP_THRESHOLD of malloc.h."""
+TRIED, SCREENED = 4, 4_000_000
+"""Simulations that screen a candidate's parameter, and simulated values up to which all windows take part in that."""
 
 Stage = Callable[[str], None]
 
@@ -238,7 +240,11 @@ def infer(
     stage("linearising the twin about the logs")
     few, given = thin_out(spec, starts), (window, False, progress, criteria)
     bench = build_bench(spec, measurements, few, *given, make_twin=make_twin)
-    inferred = infer_causes(bench, unknowns, stage, deadline)  # which holds the deadline from here on
+    every = -(-TRIED * len(unknowns) * bench.measured.size // SCREENED)
+    scout = (
+        bench if every < 2 else build_bench(spec, measurements, [s[::every] for s in few], *given, make_twin=make_twin)
+    )
+    inferred = infer_causes(bench, scout, unknowns, stage, deadline)  # which holds the deadline from here on
     stage("judging every stretch by fits to the others")
     calm = rescale(measurements, bench, inferred.scales)
     search = Search(build_bench(spec, calm, few, *given, make_twin=make_twin), unknowns)

@@ -101,9 +101,9 @@ def cut_folds(flight: np.ndarray, start: np.ndarray, window: float) -> np.ndarra
 
 
 def infer_causes(
-    bench: Bench, unknowns: Sequence[Unknown], stage: Callable[[str], None], deadline: Deadline
+    bench: Bench, scout: Bench, unknowns: Sequence[Unknown], stage: Callable[[str], None], deadline: Deadline
 ) -> Inferred:
-    """Compare hypotheses on a bench of all windows.
+    """Compare hypotheses on a bench of all windows; some of them, which may be all, scout for candidates.
 
     Raises:
         Stopped: before every candidate has been tried once.
@@ -112,7 +112,7 @@ def infer_causes(
     def tell(effects: frozenset[str]) -> None:
         stage(f"comparing hypotheses ({', '.join(sorted(effects)) or 'nothing wrong'})")
 
-    comparison, fitter, stopped = compare_hypotheses(bench, unknowns, deadline, tell)
+    comparison, fitter, stopped = compare_hypotheses(bench, unknowns, scout, deadline, tell)
     windows = bench.windows
     fold = cut_folds(windows.flight, windows.start, windows.steps * windows.dt)
     deadline.held = True

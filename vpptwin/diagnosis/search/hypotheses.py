@@ -27,7 +27,7 @@ COLUMNS = 1.5
 
 
 def compare_hypotheses(
-    bench: Bench, suspects: Sequence[Suspect], deadline: Deadline | None = None,
+    bench: Bench, suspects: Sequence[Suspect], scout: Bench, deadline: Deadline | None = None,
     told: Callable[[frozenset[str]], None] = lambda effects: None,
 ) -> tuple[Comparison, Fitter, bool]:  # fmt: skip
     """Sets of effects fitted to a bench's windows with their posterior probabilities, and whether that was cut short.
@@ -35,6 +35,7 @@ def compare_hypotheses(
     Args:
         bench: the windows, all that there are: none is held out.
         suspects: parameters of all effects that are candidates.
+        scout: some of the windows, or all of them: on these candidates are screened.
         deadline: when to stop with what was found so far; None for never.
         told: called before every fit.
 
@@ -42,8 +43,9 @@ def compare_hypotheses(
         Stopped: before every candidate has been tried once.
     """
     unknowns = {suspect.key: name_unknown(suspect) for suspect in suspects}
-    trials = [name_trial(start, unknowns) for start in list_trials(tuple(suspects), bench)] + scan_friction(suspects)
-    fitter = Fitter(BenchSimulator(bench), list(unknowns.values()), trials)
+    trials = [name_trial(start, unknowns) for start in list_trials(tuple(suspects), scout)] + scan_friction(suspects)
+    whole = BenchSimulator(bench)
+    fitter = Fitter(whole, list(unknowns.values()), trials, whole if scout is bench else BenchSimulator(scout))
     effects = {suspect.effect.id: suspect.effect for suspect in suspects}
     usual = -float(np.log(max(len(effects), 2)))
     odds = {name: usual + (COLUMNS if name in bench.of_sensors or ZERO in effect.writes else 0.0)

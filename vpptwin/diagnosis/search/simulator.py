@@ -18,7 +18,7 @@ from vpptwin.diagnosis.search.suspects import Unknown as Suspect
 from vpptwin.effects import find_effect
 from vpptwin.inference.covariance import factor
 from vpptwin.inference.fit import Key, Point, Unknown
-from vpptwin.inference.model import ScalePrior
+from vpptwin.inference.model import Layout, Nuisance, ScalePrior
 
 SHEET, ASSUMED = 0.1, 2.0
 """Standard deviations of the log of a sensor's noise: where it is known, and where the samples were looked at only."""
@@ -26,7 +26,7 @@ FARTHEST = 1e5
 """Assumed noises by which a simulation can miss: what diverges is wrong, however far."""
 LESS = 1.0 / 3.0
 """Share of its tolerance that is believed of what only takes energy out: a model without friction knows of none."""
-KEPT = 16
+KEPT = 8
 """Responses that are kept."""
 CALM, VARIED = 0.2, 2.0
 """Median of the process noise, in what the robot says of it, and standard deviation of its log."""
@@ -37,11 +37,10 @@ class BenchSimulator:
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
-        self._responses: dict[Hashable, Response] = {}
+        self._responses: dict[Hashable, tuple[Response, Nuisance]] = {}
         nv = bench.spec.model.nv
-        self.noise = np.where(bench.valid, bench.std, np.inf)
-        self.columns: Sequence[slice] = bench.columns
-        self.process = np.tile(np.arange(nv), bench.segments)
+        noise = np.where(bench.valid, bench.std, np.inf)
+        self.layout = Layout(noise, bench.columns, np.tile(np.arange(nv), bench.segments))
         self.scale_prior = ScalePrior(
             np.array([SHEET if is_known(bench, i) else ASSUMED for i in range(len(bench.channels))]),
             np.array([find_floor(bench, i) for i in range(len(bench.channels))]),
@@ -53,28 +52,34 @@ class BenchSimulator:
         """Measured less simulated, (V, K, M)."""
         predicted = self.bench.predict([Variation(dict(point)) for point in points], dict(about))
         missed = np.clip(self.bench.miss(predicted), -FARTHEST * self.bench.std, FARTHEST * self.bench.std)
-        return self._response(about).restore(missed, self.bench.track)
+        return self._response(about)[0].restore(missed, self.bench.track)
 
-    def respond(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives by starting states and force pulses, in units of their priors."""
-        response, bench = self._response(point), self.bench
-        alike = likeness_of_gusts(bench, middles_of_segments(bench))
-        count, values, _ = response.push.shape
-        root = factor(alike + 1e-9 * np.eye(bench.segments))
-        push = response.push.reshape(count, values, bench.segments, -1)
-        push = np.einsum("kmsd,kst->kmtd", push, root).reshape(count, values, -1)
-        far = FARTHEST * bench.std[..., None]
-        return np.clip(response.state * response.state_std, -far, far), np.clip(push, -far, far)
+    def respond(self, point: Point) -> Nuisance:
+        """What starting states and force pulses do, in units of their priors."""
+        return self._response(point)[1]
 
-    def _response(self, point: Point) -> Response:
+    def _response(self, point: Point) -> tuple[Response, Nuisance]:
         """The response at a point, measured once for every point of a coarse grid."""
         loose = self.loosen(point)
         key = frozenset(loose.items())
         if key not in self._responses:
             if len(self._responses) >= KEPT:
                 del self._responses[next(iter(self._responses))]
-            self._responses[key] = measure_response(self.bench, loose)
+            response = measure_response(self.bench, loose)
+            self._responses[key] = response, self._name_columns(response)
         return self._responses[key]
+
+    def _name_columns(self, response: Response) -> Nuisance:
+        """The columns of a response, with pulses that are independent."""
+        bench = self.bench
+        alike = likeness_of_gusts(bench, middles_of_segments(bench))
+        count, values, _ = response.push.shape
+        root = factor(alike + 1e-9 * np.eye(bench.segments))
+        push = response.push.reshape(count, values, bench.segments, -1)
+        push = np.einsum("kmsd,kst->kmtd", push, root).reshape(count, values, -1)
+        far = FARTHEST * bench.std[..., None]
+        states = np.clip(response.state * response.state_std, -far, far)
+        return Nuisance.of(states, np.clip(push, -far, far), self.layout)
 
     def loosen(self, point: Point) -> dict[Key, float]:
         """A point that responds nearly as another: without dry friction, and only what is far off, on a coarse grid."""
