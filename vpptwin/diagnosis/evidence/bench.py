@@ -57,6 +57,7 @@ class Bench(Runs):
         super().__init__(spec, windows, segments, flights, causal, progress, make_twin)
         self.channels, self.criteria = list(channels), criteria
         self._motions: dict[Hashable, tuple[Track | None, WindowMotion]] = {}  # with its track, whose id is in the key
+        self._parts: dict[bytes, Bench] = {}
         self._gravity = -float(spec.model.opt.gravity[2])
 
     def about(self, track: Track | None) -> Bench:
@@ -100,9 +101,21 @@ class Bench(Runs):
         if self.folds is None or not any(key in self.folds[1][0] for key in values):
             return self.miss(self.predict([Variation(dict(values))], values)[0])
         fold, fitted = self.folds
-        unseen = [{key: each.get(key, value) for key, value in values.items()} for each in fitted]
-        residuals = [self.miss(self.predict([Variation(each)], each)[0]) for each in unseen]
-        return np.stack(residuals)[fold, np.arange(len(fold))]
+        found = np.empty_like(self.measured)
+        for number, each in enumerate(fitted):
+            rows, unseen = np.flatnonzero(fold == number), {key: each.get(key, value) for key, value in values.items()}
+            if len(rows):
+                found[rows] = self._part(rows.tobytes()).residual(unseen)
+        return found
+
+    def _part(self, rows: bytes) -> Bench:
+        """Some of the windows, of which nothing is moved along a track."""
+        if rows not in self._parts:
+            some = np.frombuffer(rows, int)
+            given = self.flights, self.causal, self._progress, self.criteria, self.make_twin
+            channels = [channel.take(some) for channel in self.channels]
+            self._parts[rows] = Bench(self.spec, self.windows.take(some), channels, self.segments, *given)
+        return self._parts[rows]
 
     def miss(self, predicted: np.ndarray) -> np.ndarray:
         """Measured less predicted, (..., K, C B); 0 where nothing was measured, far off where the twin went astray."""
