@@ -46,12 +46,6 @@ class Channel:
     measured: np.ndarray | None = None
     _means: dict[tuple[float, float, int], csr_array] = field(init=False, default_factory=dict, repr=False)
 
-    def take(self, rows: np.ndarray) -> Channel:
-        """Some of the windows."""
-        names = ("value", "std", "offset", "weight", "measured")
-        arrays = {name: getattr(self, name) for name in names}
-        return replace(self, **{name: each[rows] for name, each in arrays.items() if each is not None})
-
     def average(self, track: np.ndarray, dt: float, shift: float = 0.0, age: np.ndarray | float = 0.0) -> np.ndarray:
         """Mean over each bin, (K, B), of what is known every `dt` [s] of the windows, (K, n).
 
