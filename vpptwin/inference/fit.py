@@ -256,7 +256,8 @@ def pick_pivots(matrix: np.ndarray, least: float, most: int) -> list[int]:
 
     Pivots of its Cholesky factor (Higham, Analysis of the Cholesky decomposition of a semi-definite matrix, 1990).
     """
-    left, factors, chosen = np.diag(matrix).copy(), np.empty((0, len(matrix))), []
+    chosen: list[int] = []
+    left, factors = np.diag(matrix).copy(), np.empty((0, len(matrix)))
     while len(chosen) < most and left.size and left.max() > least:
         row = int(left.argmax())
         factor = (matrix[row] - factors[:, row] @ factors) / np.sqrt(left[row])

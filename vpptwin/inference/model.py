@@ -137,8 +137,8 @@ class Nuisance:
     def merge(self, scales: Scales) -> Nuisance:
         """With all channels in one, whose noise is that of scales."""
         factor = np.ones(self.columns.shape[1])
-        for columns, scale in zip(self.layout.columns, np.exp(scales.sensor)):
-            factor[columns] = scale
+        for some, scale in zip(self.layout.columns, np.exp(scales.sensor)):
+            factor[some] = scale
         columns = self.columns / factor[:, None]
         layout = self.layout._replace(noise=self.layout.noise * factor, columns=[slice(None)])
         gram, counts = np.swapaxes(columns, 1, 2) @ columns, self.counts.sum(axis=1, keepdims=True)
