@@ -58,10 +58,11 @@ night: $(STAMP) ## the long sweeps too, with a seed drawn for this run, which py
 newest: $(STAMP) ## tests of the engine with the newest MuJoCo of the index, if that is not the pinned one
 	OMP_NUM_THREADS=1 MPLBACKEND=Agg $(BIN)/python .ci/newest.py
 
-check: $(STAMP) ## lint, format, types
+check: $(STAMP) ## lint, format, types, words
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python -m pytest -q -n 0 tests/test_words.py
 
 docs: $(STAMP) ## the documentation site, into site/, to open from disk; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

@@ -35,7 +35,6 @@ from vpptwin.logs.read import read_flight  # noqa: E402
 from vpptwin.system.files import write_json  # noqa: E402
 
 FACTORS = {"halved": 0.5, "doubled": 2.0}
-MEASURED = ROOT / "benchmarks/results/criteria_8001.json"
 Run = dict[str, Any]
 """One diagnosis: session `number`, its `plan`, criterion `name` ("" for none), `change` and what was `found`."""
 TEXT = """# Thresholds
@@ -45,15 +44,11 @@ others. `python benchmarks/criteria.py --page > docs/criteria.md` writes this pa
 `vpptwin/diagnosis/criteria.py`, where the origin of each value stands too. On jointed rigs [hypotheses are
 compared](inference.md) in another way, and only the thresholds of the last checks apply.
 
-**Origin**: *assumed*, a belief about rigs before any data; *proposed*, by an earlier study of the drone; *calibrated*,
-with simulated sessions; *by hand*, changed while development sessions were inspected. None is derived from theory.
+None is derived from theory. Most were changed by hand while development sessions were inspected; others are beliefs
+about rigs, or calibrated with simulated sessions.
 
-**Halved, doubled**: how many verdicts change, and the measures that change with them, on sessions {sessions} of seed
-{seed}, a development seed (`python benchmarks/criteria.py --seed {seed} --numbers {sessions} --names ...`); "-" was
-not measured. So few sessions show which thresholds are sensitive; they are no rates. *Detected*: all hidden effects
-named. *In a group*: named, or rivals of what is named. *Wrong*: claimed and not present. *False alarm*: something
-named where nothing is hidden. *False remainder*: something called unexplained though the catalogue has all that is
-hidden. *Alien flagged*: the same where it has not.
+What halving and doubling them does, `python benchmarks/criteria.py --report benchmarks/results/criteria_8001.json`
+prints for three sessions of a development seed.
 """
 
 
@@ -153,19 +148,11 @@ def report(runs: Sequence[Run]) -> None:
 
 
 def write_page() -> str:
-    """The page of all criteria, with what was measured."""
-    content = read_results(MEASURED) if MEASURED.exists() else {"seed": 0, "runs": []}
-    table = compare(content["runs"])
-    numbers = sorted({run["number"] for run in content["runs"]})
-    told = TEXT.format(sessions=",".join(map(str, numbers)), seed=content["seed"])
-    lines = [told, "| criterion | value | unit | meaning | origin | halved | doubled |"]
-    lines += ["|---|---:|---|---|---|---|---|"]
+    """The page of all criteria."""
+    lines = [TEXT, "| criterion | value | unit | meaning |", "|---|---:|---|---|"]
     for f in fields(Criteria):
         m = f.metadata
-        changes = " | ".join(tell_change(table.get((f.name, change))) for change in FACTORS)
-        lines.append(
-            f"| `{f.name}` | {f.default:g} | {m['unit']} | {m['meaning']} | {m['origin'].split(':')[0]} | {changes} |"
-        )
+        lines.append(f"| `{f.name}` | {f.default:g} | {m['unit']} | {m['meaning']} |")
     return "\n".join(lines)
 
 

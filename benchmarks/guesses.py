@@ -1,4 +1,4 @@
-"""What `vpptwin inspect` guesses of real logs, and how long it takes: `python benchmarks/guesses.py ../shared/data`.
+"""What `vpptwin inspect` guesses of real logs, and how long it takes: `python benchmarks/guesses.py DATA`.
 
 Prints the two tables of docs/logs.md: fields that it is sure of and right, that it asks about, that it is wrong about;
 and the seconds of log and of processor that `inspect LOG` takes from start to end, of the slowest of each kind.

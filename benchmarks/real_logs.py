@@ -1,7 +1,7 @@
 """What the diagnosis says of measured logs of robots that are not ours, beside fits by hand.
 
-    python benchmarks/real_logs.py ../shared/data
-    python benchmarks/real_logs.py ../shared/data --rig antx --json antx.json
+    python benchmarks/real_logs.py DATA
+    python benchmarks/real_logs.py DATA --rig antx --json antx.json
 
 Prints the table of docs/benchmarks.md: what is known of each log without MuJoCo (the READMEs of `examples` tell how),
 the causes that `vpptwin diagnose` names, and whether they are right. Every diagnosis is a process of its own.
@@ -47,7 +47,7 @@ class RealLog:
     """A measured log, and what fits by hand say of it.
 
     Attributes:
-        rig: folder of `../shared/data` and of `examples`.
+        rig: folder of `DATA` and of `examples`.
         log: file or folder in the first.
         twin: twin YAML in the second.
         by_hand: what is known, in words.
@@ -176,7 +176,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     logs = [log for log in list_logs() if options.rig in (None, log.rig)]
     if missing := [log.log for log in logs if not (options.data / log.rig / log.log).exists()]:
-        parser.error(f"{options.data}: no {missing[0]}; expected the folder of measured data, ../shared/data")
+        parser.error(f"{options.data}: no {missing[0]}; expected the folder of measured data, DATA")
     results: list[dict] = []
     for log in logs:
         with TemporaryDirectory() as folder:

@@ -1,7 +1,7 @@
 """What the paper's linear thrust map misses on measured rotors, and what bent maps gain.
 
-    python benchmarks/rotor_maps.py ../shared/data/rotor
-    python benchmarks/rotor_maps.py ../shared/data/rotor --json maps.json --picture docs/pictures
+    python benchmarks/rotor_maps.py DATA/rotor
+    python benchmarks/rotor_maps.py DATA/rotor --json maps.json --picture docs/pictures
 
 The rotors of Knight and Hefner (NACA TN-626, 1937): thrust coefficient against collective pitch, two to five blades.
 Each map is fitted to all pitches but one and asked for that one, in turn.

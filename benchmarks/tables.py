@@ -171,9 +171,9 @@ def write_page() -> str:
     drone = report_sessions("hidden_51959")
     other = report_sessions("other_*", "--rigs", "other", "--mixed")
     parts = [
-        HEAD, DRONE, *drone[:3], PICTURES, drone[4], drone[7],
-        STUCK, *report_sessions("stuck_40417")[:2],
-        OTHER, *other[:3], other[4],
+        HEAD, DRONE, drone[0], drone[2], PICTURES, drone[4],
+        STUCK, report_sessions("stuck_40417")[0],
+        OTHER, other[0], other[2], other[4],
         SMALL, write_small(), MEASURED, write_measured(), SPEED, write_throughput(),
     ]  # fmt: skip
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)

@@ -21,7 +21,6 @@ ROOT = Path(__file__).resolve().parents[1]
 LOOP = " ".join(f"benchmarks/results/close_the_loop_{seed}.json" for seed in range(3))
 RECORDED = {
     "loop": f"close_the_loop.py --report {LOOP} --picture OUT/loop.svg",
-    "today": "close_the_loop.py --report benchmarks/results/close_the_loop_3e11904.json",
     "stuck": "close_the_loop.py --report benchmarks/results/close_the_loop_stuck.json",
     "hidden_51959": "hidden_effects.py --report benchmarks/results/hidden_51959.json --pictures OUT",
     "paper_table": "paper_table.py --report benchmarks/results/paper_table.json --pictures OUT",
@@ -122,7 +121,6 @@ def test_rates_of_the_readme_are_those_of_the_page(name: str, least: int) -> Non
     ("name", "page", "file", "least"),
     [
         ("loop", "loop.md", "close_the_loop_0.json", 10),
-        ("today", "loop.md", "close_the_loop_3e11904.json", 10),
         ("stuck", "loop.md", "close_the_loop_stuck.json", 3),
         ("paper_table", "train.md", "paper_table.json", 10),
         ("switches", "train.md", "switches.json", 13),

@@ -140,7 +140,7 @@ def test_every_command_takes_it(quick: Path, tmp_path: Path, capsys: pytest.Capt
             assert main(command) == 0
         elif command[0] == "convert" or "/" not in spelled:  # what is looked at a pattern may find in several files
             assert main(command) == 2
-            told = f"holds 2 flights; expected one flight here; give one, such as {flights[0]}\n"
+            told = f"holds 2 recordings; expected one recording here; give one, such as {flights[0]}\n"
             assert capsys.readouterr().err.endswith(told)
 
 
@@ -195,8 +195,8 @@ def test_names_are_short_and_safe(quick: Path) -> None:
         ("first.mcap#1", "#1 of first.mcap; expected FOLDER#EPISODE of LeRobot; correct it, or give first.mcap"),
         ("set#2", "set#2: no rows of episode 2; expected 0 to 1"),
         ("first.mcap+", "first.mcap+ has a plus with nothing beside it; expected FILE+FILE"),
-        ("first.mcap+third.mcap", "no file third.mcap; expected a flight log"),
-        ("runs/*.csv", "no file matches runs/*.csv; expected a flight log"),
+        ("first.mcap+third.mcap", "no file third.mcap; expected a log"),
+        ("runs/*.csv", "no file matches runs/*.csv; expected a log"),
         ("-", "- as a log; expected a file, as logs are read more than once; write it to a file first"),
         ("pipe", "pipe is a pipe or a device; expected a file, as logs are read more than once; write it to a file"),
     ],
@@ -218,7 +218,7 @@ def test_stretches_that_overlap_do_not_judge_each_other(
     for second in ("runs/a.mcap@3-8", "runs/../runs/a.mcap"):
         logs = ["runs/a.mcap@-4.5", second]
         assert main(["diagnose", *logs, "--twin", "twin.yaml", "--out", str(tmp_path)]) == 2
-        assert f"{logs[0]} and {second} overlap; expected every flight once" in capsys.readouterr().err
+        assert f"{logs[0]} and {second} overlap; expected every log once" in capsys.readouterr().err
     with pytest.raises(InputError, match=r"bag@1- is given twice"):
         open_flights(["bag@1-", "bag/@1-"])
     assert len(open_flights(["runs/a.mcap@-4", "runs/a.mcap@4-"], apart=True)) == 2

@@ -43,7 +43,7 @@ def compare(folder: Path) -> dict[str, np.ndarray]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="../shared/data/crazypad")
+    parser.add_argument("folder", type=Path, help="DATA/crazypad")
     for name, changes in compare(parser.parse_args().folder).items():
         told = ", ".join(f"M{i + 1} {100 * m:+5.1f} ± {100 * s:.1f} %" for i, (m, s) in
                          enumerate(zip(changes.mean(axis=0), changes.std(axis=0))))  # fmt: skip

@@ -1,4 +1,4 @@
-"""Convert a motion of the SO-101: python -m examples.so101.convert ../shared/data/so101/multisine out.mcap."""
+"""Convert a motion of the SO-101: python -m examples.so101.convert DATA/so101/multisine out.mcap."""
 
 from __future__ import annotations
 

@@ -136,17 +136,21 @@ def summarise(cases: Sequence[Case]) -> list[Rate | Figure]:
     memory = [c.found.memory for c in cases if c.found and c.found.memory]
     held = f"{max(memory):.0f} MB at most" if memory else "-"
     return [
-        count("one effect, these logs tell it from all others: named first", (c.all_named for c in clear), ">= 0.90"),
-        count("one effect, these logs tell it: named or in the group", (c.all_suspected for c in clear), ">= 0.95"),
-        count("one effect that these logs show: named or in the group", (c.all_suspected for c in shown), ">= 0.95"),
+        count("one effect, identifiable: named first", (c.all_named for c in clear), ">= 0.90"),
+        count("one effect, identifiable: named or in the group", (c.all_suspected for c in clear), ">= 0.95"),
+        count("one effect that shows: named or in the group", (c.all_suspected for c in shown), ">= 0.95"),
         count("one effect: named first", (c.all_named for c in single)),
         count("one effect: named or in the group", (c.all_suspected for c in single)),
-        count("two effects, these logs tell both: both named", (c.all_named for c in clear_two), ">= 0.80"),
-        count("two effects, these logs tell both: named or in groups", (c.all_suspected for c in clear_two)),
+        count("two effects, identifiable: both named", (c.all_named for c in clear_two), ">= 0.80"),
+        count("two effects, identifiable: named or in groups", (c.all_suspected for c in clear_two)),
         count("two effects: both named", (c.all_named for c in two)),
-        count("missed effects: said not to show in these logs", chain(*(c.owned for c in cases))),
+        count("missed effects: said not to be identifiable", chain(*(c.owned for c in cases))),
         count("confidently wrong", (bool(c.wrong) for c in cases if c.plan.kind != "alien"), "<= 0.02"),
-        count("nothing hidden, jitter does not show: silent", (is_silent(c) for c in none if c.plan.quiet), ">= 0.98"),
+        count(
+            "nothing hidden, build tolerance does not show: silent",
+            (is_silent(c) for c in none if c.plan.quiet),
+            ">= 0.98",
+        ),
         count("nothing hidden: silent", map(is_silent, none)),
         count("nothing hidden: nothing named with confidence", (c.found is not None and not c.wrong for c in none)),
         count("outside the catalogue, like nothing in it: flagged", map(is_flagged, apart), ">= 0.85"),

@@ -86,7 +86,7 @@ def summarise(cases: Sequence[Case]) -> list[Rate | Figure]:
         count("two effects: both named", (c.all_named for c in of_kind["two"]), ">= 0.85"),
         count("two effects: both named or in a group", (c.all_suspected for c in of_kind["two"])),
         count("three effects: all named or in a group", (c.all_suspected for c in of_kind["three"])),
-        count("missed effects: said not to show in these logs", chain(*(c.owned for c in cases))),
+        count("missed effects: said not to be identifiable", chain(*(c.owned for c in cases))),
         count("no effect: something named", (bool(c.first) for c in none), "<= 0.01"),
         count("no effect, nor a small one: something said to be unexplained", (leaves_something(c) for c in bare)),
         count("confidently wrong", (bool(c.wrong) for c in cases if c.plan.kind != "alien"), "<= 0.02"),

@@ -58,10 +58,10 @@ def make_cases() -> list:
 def test_rates_are_as_counted_by_hand() -> None:
     """Look-alikes and small deviations are no errors, silence and flags are what they say, crashes count as misses."""
     rows = table(make_cases())
-    assert rows["one effect, these logs tell it from all others: named first"] == "25.0 % (1 of 4)"
-    assert rows["one effect, these logs tell it: named or in the group"] == "50.0 % (2 of 4)"
+    assert rows["one effect, identifiable: named first"] == "25.0 % (1 of 4)"
+    assert rows["one effect, identifiable: named or in the group"] == "50.0 % (2 of 4)"
     assert rows["one effect: named first"] == "20.0 % (1 of 5)"
-    assert rows["two effects, these logs tell both: both named"] == "100.0 % (1 of 1)"
+    assert rows["two effects, identifiable: both named"] == "100.0 % (1 of 1)"
     assert rows["confidently wrong"] == "12.5 % (1 of 8)"
     assert rows["nothing hidden: silent"] == "100.0 % (2 of 2)"
     assert rows["outside the catalogue: flagged"] == "50.0 % (1 of 2)"

@@ -118,7 +118,7 @@ def test_of_a_right_contact_nothing_is_named(tmp_path: Path) -> None:
     found = judge(tmp_path, (1.0, 1.0, 0.0))
     assert not found.causes
     assert [cleared.effect for cleared in found.cleared] == [COMPLIANCE]
-    assert "blows, looked at by themselves, miss" in found.told[0]
+    assert "impacts, judged on their own, are off by" in found.told[0]
 
 
 def test_few_blows_tell_nothing(tmp_path: Path) -> None:
@@ -126,7 +126,7 @@ def test_few_blows_tell_nothing(tmp_path: Path) -> None:
     found = judge(tmp_path, (2.0, 0.3, 0.0), 2)
     assert not found.causes
     assert {unseen.effect for unseen in found.unseen} == {COMPLIANCE, "contact.friction"}
-    assert {unseen.reason for unseen in found.unseen} == {"4 blows in one piece, where 6 are needed"}
+    assert {unseen.reason for unseen in found.unseen} == {"4 separate impacts, 6 are needed"}
 
 
 @pytest.mark.slow

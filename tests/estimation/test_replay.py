@@ -97,7 +97,7 @@ def test_flight_without_rotor_speeds(own: OwnFlight) -> None:
 @pytest.mark.parametrize("restart", [0.5, None])
 def test_too_short_a_flight_is_refused(own: OwnFlight, restart: float | None) -> None:
     """A flight shorter than the first restart is refused in one line that says how much is needed."""
-    with pytest.raises(InputError, match=r"own\.mcap: 0\.2\d s of usable flight; expected at least 0\.\d+ s"):
+    with pytest.raises(InputError, match=r"own\.mcap: 0\.2\d s of usable log; expected at least 0\.\d+ s"):
         replay(SPEC, trim(own.flight, 0.25), restart)
 
 

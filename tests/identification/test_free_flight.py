@@ -99,7 +99,7 @@ def test_pairs_by_hand() -> None:
         ("air.drug", "unknown effect 'air.drug'"),
         (" , ", "names none"),
         ("air.drag.k_x", "air.drag has no parameter 'k_x'"),
-        ("contact.friction", "contact.friction, which blows alone show"),
+        ("contact.friction", "contact.friction, which only impacts show"),
     ],
 )
 def test_unknown_parameters(given: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

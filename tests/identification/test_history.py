@@ -73,7 +73,7 @@ def test_it_is_told_in_plain_words(found: History) -> None:
     assert left.startswith("Dry friction on joint slide (slide.coulomb.force) left its band of 0 to 0.42 N in 2 of 5")
     assert "first on 2000-01-22" in left
     assert grows.startswith("Dry friction on joint slide (slide.coulomb.force) grows steadily by 0.")
-    assert "over all 5 flights" in grows
+    assert "over all 5 logs" in grows
 
 
 @pytest.mark.slow
@@ -115,14 +115,14 @@ def test_without_dates_flights_are_numbered(known: History, growing: list[Path],
     flights = [replace(vpptwin.read_log(log), start_ns=i) for i, log in enumerate(growing)]
     found = vpptwin.history(flights, known.twin, progress=False)
     assert not found.dated
-    assert "flight" in found.render([])
+    assert "log 1" in found.render([])
     same = vpptwin.history([replace(f, start_ns=EARLIEST) for f in flights], known.twin, progress=False)
     assert not same.dated
     assert [flight.log for flight in same.flights] == [str(log) for log in growing]
     assert same.as_dict()["axis"] == "flight"
     found.save(tmp_path)
     assert (tmp_path / "history.html").is_file()
-    assert "Flights in the order" in found._repr_html_()
+    assert "Logs in the order" in found._repr_html_()
 
 
 def test_one_rule_about_files(known: History, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

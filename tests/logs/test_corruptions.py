@@ -168,7 +168,9 @@ def test_policy_commands_replace_rotor_commands(recording: Recording, clean: Mea
     difference = (measured.command.value - clean.command.value)[settled]
     assert np.abs(difference).max() < 0.51 * 2.0**-14  # rad, half a step of the servo command
     assert measured.rotor_speed is None
-    assert any("no /rotor/command" in text and "rotor.drag and battery.sag can't be seen" in text for text in warnings)
+    assert any(
+        "no /rotor/command" in text and "rotor.drag and battery.sag cannot be identified" in text for text in warnings
+    )
     assert any("no /rotor/state" in text for text in warnings)
 
 

@@ -243,7 +243,7 @@ def test_episodes_of_a_file_without_its_folder_are_flights(tmp_path: Path, capsy
     entry = SignalEntry.model_validate({"topic": "some", "position": "observation.state[0]"})
     flights = [read_flight(part, None, {"/joint_states": {"j": entry}}) for part in expand_logs([file])]
     assert [len(flight.joints["/joint_states"]["j"]) for flight in flights] == [30, 20]
-    assert "some.parquet stands for 2 flights" in capsys.readouterr().err
+    assert "some.parquet stands for 2 recordings" in capsys.readouterr().err
     refuse(file, "holds 2 tests: #0 episode_index 0, #1 episode_index 1", "give one, such as ", "#0", read=survey)
     refuse(Path(f"{file}#5"), "no episode 5; expected #0, #1", read=survey)
     assert main(["inspect", str(file)]) == 0

@@ -116,8 +116,8 @@ def test_a_folder_of_flights_is_a_folder_of_flights(tmp_path: Path, capsys: pyte
     """Without metadata.yaml every file is a flight, which a line says; where one is wanted, the line asks for one."""
     split_bag(tmp_path)
     assert [len(flight.streams["/mocap/pose"]) for flight in map(read_flight, expand_logs([tmp_path]))] == [30, 20]
-    assert f"{tmp_path} is a folder of 2 flights" in capsys.readouterr().err
-    with pytest.raises(InputError, match=r"holds 2 flights; expected one flight here; give one, such as .*bag_0"):
+    assert f"{tmp_path} is a folder of 2 recordings" in capsys.readouterr().err
+    with pytest.raises(InputError, match=r"holds 2 recordings; expected one recording here; give one, such as .*bag_0"):
         read_flight(tmp_path)
 
 
@@ -340,7 +340,7 @@ def test_numbers_that_find_no_room_are_refused_and_a_stretch_is_read(
     table.write_text("time,q\n" + "".join(f"{0.01 * k:.2f},{k}\n" for k in range(3000)))
     (tmp_path / "map.yaml").write_text("/joint_states: {names: {q: {topic: log, position: q}}}")
     for given in (log, table):
-        with pytest.raises(InputError, match=rf"{given}: the numbers .* of \d+ s .* such as {given}@0-\d+ \(seconds\)"):
+        with pytest.raises(InputError, match=rf"{given}: the needed .* of \d+ s .* such as {given}@0-\d+ \(seconds\)"):
             read_flight(given, tmp_path / "map.yaml" if given == table else None)
     part = read_flight(f"{log}@2-4")
     assert part.path == Path(f"{log}@2-4")

@@ -53,7 +53,7 @@ def test_what_drives_of_one_make_have_alike_is_suspected(tmp_path: Path) -> None
     for kind in ("stiffness", "force_limit"):
         assert known[f"actuators.{kind}"].members == tuple(f"{name}_servo" for name in NAMES)
         assert [p.tolerance for p in known[f"actuators.{kind}"].parameters] == [0.0]
-    assert known["joints.load"].summary == "losses of the gears on all joints that grow with what drives it"
+    assert known["joints.load"].summary == "gear friction on all joints that grows with the load"
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from vpptwin.system.trust import EVERY, trust
 
 WRITTEN = ("out", "json", "html", "video", "pictures")
 """Options that name what a command writes: a file, or, where they have a metavar, what the command looks at itself."""
-PARTS = "FILE+FILE is one flight of several files, LOG@600-900 a part of a log [s]"
+PARTS = "FILE+FILE is one recording in several files, LOG@600-900 a part of a log [s]"
 
 Add = Callable[..., object]
 """Adds an argument, as `ArgumentParser.add_argument` does."""
@@ -126,7 +126,7 @@ def explain(error: BaseException) -> InputError | None:
 
 def build_parser() -> argparse.ArgumentParser:
     """The grammar of all commands."""
-    parser = Parser(prog="vpptwin", description="The simulation twin that tells you what it gets wrong.")
+    parser = Parser(prog="vpptwin", description="A simulation twin that finds what your simulation gets wrong.")
     parser.add_argument("--version", action="version", version=f"vpptwin {__version__}")
     subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
@@ -157,7 +157,7 @@ def describe_logs(begin: Begin) -> None:
     add("--markdown", action="store_true", help="as a Markdown table")
     add("--pictures", metavar="DIR", help="draw what each effect does into this folder")
 
-    add = begin("diagnose", "find what a twin gets wrong, from flight logs", commands.run_diagnose)
+    add = begin("diagnose", "find what a twin gets wrong, from logs", commands.run_diagnose)
     add_logs(add)
     add("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add("--out", type=Path, metavar="DIR", required=True, help="folder for verdict.json, report.html and twin.yaml")
@@ -166,20 +166,20 @@ def describe_logs(begin: Begin) -> None:
     only = "effects that are candidates, by id or pattern, e.g. elbow.*,wrist.viscous; may be repeated (default: all)"
     add("--only", action="append", default=[], metavar="IDS", help=only)
     add("--limit", metavar="TIME", help="stop after so long, e.g. 90s, 10m, 1h, with what was found so far")
-    add("--device", help="simulate on a card, `cuda`, or on Warp's processor device, `cpu` (default: numba, all cores)")
+    add("--device", help="simulate on a GPU, `cuda`, or on Warp's processor device, `cpu` (default: numba, all cores)")
 
-    add = begin("compare", "measure a twin's prediction error on flight logs", commands.run_compare)
+    add = begin("compare", "measure a twin's prediction error on logs", commands.run_compare)
     add_logs(add)
     add("--twin", action="append", help="`nominal` (default), `typical` or a twin YAML; several times for several")
     add("--json", type=Path, help="write the figures here as well; - prints them instead")
 
-    add = begin("history", "tell what changes from flight to flight", commands.run_history)
+    add = begin("history", "report how parameters change from log to log", commands.run_history)
     add_logs(add)
     add("--twin", default="nominal", help="twin YAML whose named causes are followed; or `nominal`, `typical`")
     add("--parameters", metavar="IDS", help="effects to follow instead, e.g. rail_x.coulomb,battery.sag")
     band = "EFFECT.PARAMETER=LOW:HIGH, where a parameter belongs: exit code 3 if it is not; may be repeated"
     add("--band", action="append", default=[], metavar="BAND", help=band)
-    add("--jobs", default="1", help="processes that share the flights, or `ray` for a cluster's (default 1)")
+    add("--jobs", default="1", help="processes that share the logs, or `ray` for a cluster's (default 1)")
     add("--out", type=Path, metavar="DIR", required=True, help="folder for history.html and history.json")
     add("--json", type=Path, help="write the data here as well; - prints it instead of the sentences")
 
@@ -188,10 +188,10 @@ def describe_logs(begin: Begin) -> None:
     add_beside(add)
     add("--html", type=Path, help="write one self-contained page instead of opening a server")
     add("--video", type=Path, help="write an animation, .gif, .webp or .mp4, instead of opening a server")
-    viewers = "what shows it: meshcat in the browser (default), or a window of MuJoCo's own viewer"
+    viewers = "meshcat in the browser (default), or a window of MuJoCo's own viewer"
     add("--viewer", choices=["meshcat", "mujoco"], default="meshcat", help=viewers)
     add("--live", type=Path, metavar="CKPT", help="instead of a log, a policy in real time; flip and push it")
-    add("--host", default="127.0.0.1", help="address to serve on; the default is heard by this machine alone")
+    add("--host", default="127.0.0.1", help="address to serve on; by default only this machine can connect")
 
     add = begin("plot", "draw a log over time, the twin beside it, or training curves", commands.run_plot)
     sources = "a log (or its split files), or folders of training runs"
@@ -204,10 +204,10 @@ def describe_logs(begin: Begin) -> None:
     add("log", type=Path, metavar="LOG", help=f"a log of any kind; {PARTS}")
     add("out", type=Path, metavar="OUT", help="MCAP file to write")
 
-    add = begin("inspect", "show what is in a log, and guess what it means", commands.run_inspect)
+    add = begin("inspect", "list the signals of a log, and map them to joints and actuators", commands.run_inspect)
     add("logs", type=Path, nargs="+", metavar="LOG", help=f"logs of any kind; {PARTS}")
-    add("--model", metavar="NAME", help="MJCF or menagerie name; guess which signal is which joint and actuator")
-    add("--out", type=Path, metavar="YAML", help="twin to write with the guesses (default MODEL_twin.yaml)")
+    add("--model", metavar="NAME", help="MJCF or menagerie name; map signals to its joints and actuators")
+    add("--out", type=Path, metavar="YAML", help="twin to write with the mapping (default MODEL_twin.yaml)")
 
     add = begin("layouts", "write layouts of Foxglove and PlotJuggler for our logs", commands.run_layouts)
     add("out", type=Path, metavar="DIR", help="where to write foxglove.json and plotjuggler.xml")
@@ -219,7 +219,7 @@ def describe_pilots(begin: Begin) -> None:
     add("checkpoint", type=Path, nargs="?", help="a checkpoint, a run's folder, or the shipped `flip`")
     add("--policy", type=Path, metavar="FILE", help="instead, an exported controller, .so or .onnx")
     add("--task", help="whose targets the policy flies (default: that of its training)")
-    add("--pilot", choices=["scripted", "policy"], help="by default the one that the rest implies")
+    add("--pilot", choices=["scripted", "policy"], help="by default the one that the other options imply")
     add("--manoeuvre", metavar="NAME", help="what the scripted pilot flies; --list shows all")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the manoeuvre")
     add("--list", action="store_true", help="list manoeuvres with their settings, fly nothing")
@@ -228,13 +228,13 @@ def describe_pilots(begin: Begin) -> None:
     add("--controller", choices=["map", "adaptive"], help="of the actuators; by default the twin's own")
     add("--duration", type=float, help="s; by default the manoeuvre's or the task's own")
     add("--seed", type=int, default=0, help="of noise, gusts and a task's targets (default 0)")
-    add("--gusts", action="store_true", help="let gusts of 1 %% of the weight blow")
+    add("--gusts", action="store_true", help="add gusts of 1 %% of the weight")
     add("--out", type=Path, help="log to write, MCAP")
 
-    add = begin("identify", "fit an actuator to thrust-stand runs, or a twin to flights", commands.run_identify)
-    add("logs", type=Path, nargs="+", metavar="LOG", help="MCAP logs of thrust-stand runs, or flights")
-    add("--parameters", metavar="IDS", help="of flights: effects to fit, e.g. air.drag,servo.lag")
-    add("--twin", default="nominal", help="of flights: `nominal` (default), `typical` or a twin YAML")
+    add = begin("identify", "fit an actuator to thrust-stand runs, or a twin to logs", commands.run_identify)
+    add("logs", type=Path, nargs="+", metavar="LOG", help="MCAP logs of thrust-stand runs, or other logs")
+    add("--parameters", metavar="IDS", help="effects to fit to logs, e.g. air.drag,servo.lag")
+    add("--twin", default="nominal", help="with --parameters: `nominal` (default), `typical` or a twin YAML")
     add_effects(add)
     add("--out", type=Path, required=True, help="actuator YAML to write, a page goes beside it; or twin")
     add("--vehicle", type=Path, help="vehicle YAML that gives governed speed and inner rate")
@@ -254,21 +254,21 @@ def describe_pilots(begin: Begin) -> None:
     add("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
     add("--task", help="what to fly (default: the task of training)")
     add("--tracks", type=int, default=200, help="flights, flown side by side (default 200)")
-    add("--seed", type=int, default=0, help="of everything random about the flights (default 0)")
+    add("--seed", type=int, default=0, help="of everything random (default 0)")
     add("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add("--noise", type=float, default=1.0, help="times the noise of vehicle.yaml (default 1)")
     randomized = "effects drawn from their priors, separated by commas, or paper (default), all, none"
     add("--randomize", default="paper", metavar="NAMES", help=randomized)
     add("--thrust-to-weight", type=float, help="rotors of this strength (default: the task's)")
-    add("--estimator", choices=["sensors", "kalman"], help="what it is shown (default: as in training)")
+    add("--estimator", choices=["sensors", "kalman"], help="what the policy observes (default: as in training)")
     add_effects(add)
     add("--json", type=Path, help="write all figures here as well; - prints them instead of the sentence")
 
 
 def add_logs(add: Add) -> None:
     """Arguments of commands that compare logs with a twin."""
-    add("logs", type=Path, nargs="+", metavar="LOG", help=f"flight logs of any kind; {PARTS}")
-    add("--model", metavar="NAME", help="instead of --twin, an MJCF or menagerie name, if the log leaves no doubt")
+    add("logs", type=Path, nargs="+", metavar="LOG", help=f"logs of any kind; {PARTS}")
+    add("--model", metavar="NAME", help="instead of --twin, an MJCF or menagerie name, if the mapping leaves no doubt")
     add_effects(add)
     add_topic_map(add)
 

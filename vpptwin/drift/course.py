@@ -107,8 +107,8 @@ class ParameterHistory:
         strange = [f.log for f in self.flights if f.fit.after.chi2 > CRITERIA.missed]
         if strange:
             told.append(
-                f"More than that is wrong in {join_words([name_log(log) for log in strange])}, whose held-out chi² "
-                f"stays above {CRITERIA.missed:g}: vpptwin diagnose tells what."
+                f"More is wrong in {join_words([name_log(log) for log in strange])}, whose held-out chi² "
+                f"stays above {CRITERIA.missed:g}: run vpptwin diagnose."
             )
         return told
 
@@ -116,7 +116,7 @@ class ParameterHistory:
         """A flight by date, with the time where the day does not tell, or by number."""
         flight = self.flights[number]
         if not self.dated:
-            return f"flight {number + 1}"
+            return f"log {number + 1}"
         same = [other for other in self.flights if other.date.date() == flight.date.date()]
         return f"{flight.date:%Y-%m-%d %H:%M}" if len(same) > 1 else f"{flight.date:%Y-%m-%d}"
 
@@ -126,7 +126,7 @@ class ParameterHistory:
         first, number = course.outside[0], len(course.outside)
         value, unit = course.values[first], course.unit
         when = f"{'on' if self.dated else 'in'} {self.label(first)}"
-        often = f"in {number} of {len(course.shown)} flights, first {when}"
+        often = f"in {number} of {len(course.shown)} logs, first {when}"
         assert value is not None
         return f"{course.title} left its band of {low:g} to {high:g}{unit} {often}: {format_value(value)}."
 
@@ -134,18 +134,18 @@ class ParameterHistory:
         """What a parameter does over the flights, from when on, and how clear that is."""
         what, trend = course.title, course.trend
         if trend is None:
-            return f"{what} is shown by no two of these flights."
+            return f"{what} is identifiable in fewer than two of these logs."
         sample = next(value for value in course.values if value is not None)
         levels = (trend.first, trend.last, trend.change)
         first, last, change = (Estimate(value, sample.unit, std, sample.nominal) for value, std in levels)
-        more = f"; it scatters by {trend.scatter:.2g}{course.unit} more than its intervals say"
+        more = f"; it scatters by {trend.scatter:.2g}{course.unit} more than its intervals"
         wide = more if trend.scatter > np.median([v.std for v in course.values if v is not None]) else ""
         if len(course.shown) < LEAST:
-            return f"{what} is {format_value(first)} in {len(course.shown)} flights, too few to tell a trend{wide}."
+            return f"{what} is {format_value(first)} in {len(course.shown)} logs, too few for a trend{wide}."
         how_clear = f"evidence {trend.evidence:.1f} for a change against none"
         if trend.kind == "constant":
-            stays = "stays at" if trend.evidence < STAYS else "is in the mean"
-            doubt = "" if trend.evidence < STAYS else "perhaps it changes, which these flights leave open: "
+            stays = "stays at" if trend.evidence < STAYS else "is on average"
+            doubt = "" if trend.evidence < STAYS else "a change is possible, the logs do not decide: "
             return f"{what} {stays} {format_value(first)} ({doubt}{how_clear}){wide}."
         grows = "grows" if trend.change[0] > 0.0 else "falls"
         by = replace(change, value=abs(change.value))
@@ -153,11 +153,11 @@ class ParameterHistory:
         since, begin, end = (self.label(course.shown[i]) for i in (trend.since, *trend.between))
         range_ = f" (between {begin} and {end})" if begin != end else ""
         if trend.kind == "line":
-            return f"{what} {grows} steadily {size}, over all {len(course.shown)} flights ({how_clear}){wide}."
+            return f"{what} {grows} steadily {size}, over all {len(course.shown)} logs ({how_clear}){wide}."
         if trend.kind == "bend":
             return f"{what} {grows} {size}, steadily from {since} on{range_} ({how_clear}){wide}."
-        alone = ", one flight so far" if trend.since == len(course.shown) - 1 else ""
-        return f"{what} {grows} at once {size}: it is so from {since} on{range_}{alone} ({how_clear}){wide}."
+        alone = ", one log so far" if trend.since == len(course.shown) - 1 else ""
+        return f"{what} {grows} at once {size}, from {since} on{range_}{alone} ({how_clear}){wide}."
 
     def as_dict(self) -> dict[str, object]:
         """Plain data: what history.json holds."""

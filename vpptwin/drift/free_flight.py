@@ -73,8 +73,8 @@ def parse_parameters(spec: TwinSpec, text: str) -> list[str]:
             found = f"--parameters: {effect} has no parameter {name.rpartition('.')[2]!r}"
             raise InputError(found, ", ".join(known_parameters), "rename it")
         if find_effect(spec.catalogue, effect).touching:
-            found, expected = f"--parameters: {effect}, which blows alone show", "effects that show in all motion"
-            raise InputError(found, expected, "leave it out; `vpptwin diagnose` judges blows")
+            found, expected = f"--parameters: {effect}, which only impacts show", "effects that show in all motion"
+            raise InputError(found, expected, "leave it out; `vpptwin diagnose` judges impacts")
         if effect not in effects:
             effects.append(effect)
     if not effects:

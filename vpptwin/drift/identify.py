@@ -82,9 +82,9 @@ def print_flight_fit(found: FlightFit, out: Path) -> None:
     console.print(table)
     for first, second, likeness in found.alike:
         pair = f"{'.'.join(first)} and {'.'.join(second)}"
-        console.print(f"can't be told apart: {pair}, whose errors correlate by {likeness:+.2f}", soft_wrap=True)
+        console.print(f"not separable: {pair}, errors correlate by {likeness:+.2f}", soft_wrap=True)
     for key in found.vague:
-        console.print(f"hardly seen in these flights: {'.'.join(key)}", soft_wrap=True)
+        console.print(f"hardly identifiable from these logs: {'.'.join(key)}", soft_wrap=True)
     if found.drag is not None:
         low, high = found.drag.k_d - SIGMAS_90 * found.drag.std, found.drag.k_d + SIGMAS_90 * found.drag.std
         console.print(

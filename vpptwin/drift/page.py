@@ -86,4 +86,4 @@ def draw_course(record: ParameterHistory, course: Course) -> str:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         unit = course.unit.strip()
         name_axes(axes, "date" if record.dated else "flight", f"{course.parameter} [{unit or '1'}]", course.name)
-        return write_svg(figure, f"{course.name} over flights")
+        return write_svg(figure, f"{course.name} over logs")

@@ -123,7 +123,7 @@ def attach(
     `members` it is that of all of these alike: their battery, their make; `WHOLE` is what all of a rig are called.
     """
     parameters = tuple(scale_input(p, typical, room) if p.unit.startswith("ctrl") else p for p in effect.parameters)
-    whose = f"all of {', '.join(members)} alike" if members else f"actuator {actuator}"
+    whose = f"all of {', '.join(members)}" if members else f"actuator {actuator}"
     whose = "all actuators" if members and actuator == WHOLE else whose
     return replace(
         effect, id=f"{actuator}.{effect.id}", summary=f"{effect.summary} of {whose}", members=members,

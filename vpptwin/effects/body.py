@@ -122,7 +122,7 @@ def effects_for_body(body: FreeBody) -> tuple[Effect, ...]:
     )  # fmt: skip
     return (
         have("mass", "a wrong mass of", "m + mass", (mass,), ("wind",), "command", add_mass),
-        have("com", "a centre of mass that is not where it should be in", "c + (x, y, z)",
+        have("com", "a wrong centre of mass of", "c + (x, y, z)",
             along_axes("m", 0.0, body.size, body.shift or 0.05 * body.size), ("twist",), "position",
             move_centre("xyz")),
         have("inertia", "a wrong inertia of", "I times (x, y, z)", moments, (), "command", apply_inertia,

@@ -72,7 +72,7 @@ def apply_load(level: float, motion: Motion, /, mu: float) -> float:
 
 
 load = JointLaw(
-    "load", "losses of the gears {where} that grow with what drives it", "-mu |actuators' force| sgn(v)",
+    "load", "gear friction {where} that grows with the load", "-mu |actuators' force| sgn(v)",
     Stage.FRICTION, apply_load,
     lambda place: (
         Parameter(name="mu", unit="", off=0.0, low=0.0, high=0.9, prior=Prior("halfnormal", 0.0, 0.1), size=0.05,

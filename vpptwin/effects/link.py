@@ -142,7 +142,7 @@ def displace(link: Link, alike: tuple[str, ...]) -> Effect:
         for axis in link.ways
     )  # fmt: skip
     return Effect(
-        f"{link.name}.com", f"a centre of mass that is not where it should be in {link.name}",
+        f"{link.name}.com", f"a wrong centre of mass of {link.name}",
         f"c + ({', '.join(axis if axis in link.ways else '0' for axis in AXES)})", parameters, Stage.CONSTANT,
         move_centre(link.ways), JOINT_SHOWS, alike, target=link.name, follows="position",
     )  # fmt: skip

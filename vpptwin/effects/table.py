@@ -4,21 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from vpptwin.effects.base import Effect, Stage
+from vpptwin.effects.base import Effect
 from vpptwin.effects.parameter import Parameter
 
 COLUMNS = ("id", "parameter", "unit", "off", "bounds", "meaning")
 """What the terminal shows."""
-MORE_COLUMNS = ("tolerance", "prior", "source", "equation", "acts on", "shown by", "look-alikes")
+MORE_COLUMNS = ("tolerance", "prior", "equation", "look-alikes")
 FINGERPRINT = "fingerprint"
 """What the docs show besides."""
-ACTS_ON = {
-    Stage.CONSTANT: "constants of the model",
-    Stage.THRUST: "rotor thrust, every step",
-    Stage.FORCE: "force, every step",
-    Stage.FRICTION: "dry friction, every step",
-    Stage.SLIP: "how dry friction acts, every step",
-}
 PREAMBLE = """\
 # The catalogue of effects
 
@@ -31,7 +24,8 @@ Written by `vpptwin effects --markdown` from `vpptwin/effects`. These are the ef
 - **bounds**: what a [twin file](twin.md) accepts.
 - **tolerance**: the deviation that a well-built rig may have; below it a diagnosis names nothing.
 - **prior**: from which training draws.
-- **source**: where these numbers come from. Nobody has measured this rig, so most are [assumptions](assumed.md).
+- Nobody has measured this rig, so most numbers are [assumptions](assumed.md); `vpptwin/effects` and
+  `vpptwin/robots/planar_drone/effects` name the source of each.
 - **look-alikes**: effects that are hard to separate from it.
 - **fingerprint**: what five typical sizes do to a flight with steps, flips and inverted hover. Left: the departure of
   motion or sensor from the nominal twin within 50 ms. Right: the same over the quantity that it follows.
@@ -44,10 +38,8 @@ def describe_parameter(effect: Effect, parameter: Parameter) -> dict[str, str]:
     return {
         "id": effect.id, "parameter": parameter.name, "unit": parameter.unit or "-", "off": f"{parameter.off:g}",
         "bounds": f"{parameter.low:g} to {parameter.high:g}", "meaning": effect.summary,
-        "tolerance": f"{parameter.tolerance:g}", "prior": str(parameter.prior), "source": parameter.source or "-",
-        "equation": f"`{effect.equation}`",
-        "acts on": ", ".join(f"`{name}`" for name in effect.writes) or ACTS_ON[effect.stage],
-        "shown by": ", ".join(effect.shows), "look-alikes": ", ".join(effect.look_alikes) or "-",
+        "tolerance": f"{parameter.tolerance:g}", "prior": str(parameter.prior), "equation": f"`{effect.equation}`",
+        "look-alikes": ", ".join(effect.look_alikes) or "-",
     }  # fmt: skip
 
 
@@ -68,7 +60,7 @@ def print_catalogue(catalogue: Sequence[Effect], markdown: bool = False, picture
             seen = {effect.id for effect in catalogue if effect.touching}
             for row in rows:
                 name = row["id"]
-                image = f'<img src="{pictures}/{name}.png" width="360" alt="what {name} does">'
+                image = f'<img src="{pictures}/{name}.png" width="360" alt="{name}">'
                 row[FINGERPRINT] = "" if name in seen else image
                 seen.add(name)
         print("| " + " | ".join(header) + " |")

@@ -53,8 +53,8 @@ def replay(
     available = measurements.end - begin
     length = available if restart is None else restart
     if available < length or available < 0.1:
-        found = f"{flight.path}: {measurements.duration:.2f} s of usable flight"
-        raise InputError(found, f"at least {length + 0.2:.2f} s", "log longer")
+        found = f"{flight.path}: {measurements.duration:.2f} s of usable log"
+        raise InputError(found, f"at least {length + 0.2:.2f} s", "log for longer")
     starts = begin + length * np.arange(int(available / length + 1e-9))
     windows = cut_windows(spec, measurements, starts, length, causal=True)
     twin = Twin(spec, len(windows))

@@ -101,7 +101,7 @@ def expand_logs(paths: Iterable[PathLike]) -> list[Path]:
         within = list_flights(path)
         if len(within) > 1:
             kind = "is a folder of" if os.path.isdir(path) else "stands for"
-            print(f"{path} {kind} {len(within)} flights", file=sys.stderr)
+            print(f"{path} {kind} {len(within)} recordings", file=sys.stderr)
         found += within
     return found
 

@@ -113,8 +113,8 @@ def find_files(log: PathLike | Sequence[PathLike]) -> list[Path]:
     within = list_flights(given)
     if len(within) > 1:
         what = f"folder {given}" if os.path.isdir(given) else str(given)
-        found, action = f"{what} holds {len(within)} flights", f"give one, such as {within[0]}"
-        raise InputError(found, "one flight here", action)
+        found, action = f"{what} holds {len(within)} recordings", f"give one, such as {within[0]}"
+        raise InputError(found, "one recording here", action)
     if span is not None:
         return [_cut(file, given, plain) for file in find_files(plain)]
     if within != [given]:

@@ -271,7 +271,7 @@ def choose_candidates(spec: TwinSpec, only: Sequence[str]) -> frozenset[str]:
         chosen.update(found)
     if chosen and not any(not spec.robot.hides(known[effect]) for effect in chosen):
         found_ids = join_words(sorted(chosen))
-        raise InputError(f"--only {found_ids}", "an effect that shows without blows, too", "name one more")
+        raise InputError(f"--only {found_ids}", "an effect that shows without impacts, too", "name one more")
     return frozenset(chosen)
 
 

@@ -53,13 +53,13 @@ def open_flights(
     """
     given = list_logs(logs)
     if not given:
-        raise InputError("no logs", "at least one flight log", "name one")
+        raise InputError("no logs", "at least one log", "name one")
     paths = [log.path if isinstance(log, Flight) else spell(log) for log in given]
     parts = [locate(path, isinstance(log, Flight)) for path, log in zip(paths, given)]
     for i, j in combinations(range(len(given)), 2):
         if parts[i] == parts[j] or (apart and (holds(parts[i], parts[j]) or holds(parts[j], parts[i]))):
             found = f"{paths[j]} is given twice" if parts[i] == parts[j] else f"{paths[i]} and {paths[j]} overlap"
-            expected = "every flight once, as those that judge must not be those that are fitted"
+            expected = "every log once, because fitted data must not be held-out data"
             raise InputError(found, expected, "leave one out")
     return [log if isinstance(log, Flight) else read_flight(log, topic_map, signals) for log in given]
 

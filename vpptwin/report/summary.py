@@ -44,17 +44,22 @@ WHOLE = 0.95
 MOST_WITHIN = 4
 """Effects within their tolerance that are told of at most."""
 NOTHING = 0.005
-"""Shares of the error up to this are written as no gain at all."""
+"""Shares of the error up to this are written as less than one percent."""
+WEAK = 0.05
+"""Confidence below which a cause or a rival is folded away."""
+MOST_RIVALS = 2
+"""Rivals that the headline names at most."""
 SHARE = (
-    "Percentages are of the held-out excess chi², that part of the squared error of positions and angles, on log that "
-    "no fit has seen, which sensor noise does not account for: 100 % would leave nothing but that noise."
+    "Percentages are shares of the held-out excess chi²: the squared error of positions and angles on held-out data, "
+    "beyond sensor noise. At 100 % only that noise would remain. Short horizons, where predictions are precise, "
+    "dominate the share; the error 1 s ahead may change less."
 )
 """What the percentages beside causes are shares of; those of what is left are shares of the missing force."""
-ALONE = "On stretches of this log alone that no fit has seen"
+ALONE = "On held-out stretches of this log"
 """Where errors are from, of one log: no other confirms them."""
 HORIZON = (
-    "The twin predicts open loop, without corrections: errors of the starting state and disturbances grow over the "
-    "horizon, so that the last one may stay large though nothing is wrong with the twin."
+    "The twin predicts open loop, without corrections. Errors of the starting state and disturbances grow over the "
+    "horizon, so the last error may stay large although the twin is right."
 )
 """Why errors at long horizons stay."""
 SIZE_FITS = re.compile(
@@ -71,6 +76,7 @@ class Summary:
     partial: str  # what was not looked at; "" where everything was
     remedy: str  # what would help against an error far above the sensors' noise; "" where there is none
     others: list[str]  # one sentence for each cause that the headline is not about
+    weak: list[str]  # the same of causes that are hardly probable
     certainty: list[str]  # for each cause how sure it is, then what else it could be
     share: str  # what shares of the error are shares of; "" where none is named
     error: str  # the error before and after
@@ -85,12 +91,16 @@ def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) 
     told = [
         describe_cause(cause, meanings, verdict.before.chi2, is_suggested(cause, verdict)) for cause in verdict.causes
     ]
+    first = 0 if verdict.misfit is not None else 1
+    behind = list(zip(verdict.causes, told))[first:]
     return Summary(
         headline=headline(verdict, meanings), partial=describe_partial(verdict), remedy=describe_remedy(verdict),
-        others=told[0 if verdict.misfit is not None else 1 :],
+        others=[sentence for cause, sentence in behind if cause.confidence >= WEAK],
+        weak=[sentence for cause, sentence in behind if cause.confidence < WEAK],
         certainty=[
             line
             for cause in verdict.causes
+            if cause.confidence >= WEAK or cause is verdict.causes[0]
             for line in describe_certainty(cause, meanings, is_suggested(cause, verdict), verdict.partial)
         ],
         share=SHARE if any("of the error" in sentence for sentence in told) else "",
@@ -114,7 +124,7 @@ def describe_partial(verdict: Verdict) -> str:
         told.append(f"This verdict is partial: {cut.why} stopped the run after {tell_time(cut.after_s)}.")
         told.append(f"What was not done: {join_words(cut.not_done)}.")
     if verdict.only:
-        told.append(f"No candidates were tried but {join_words(verdict.only)}; others may explain as much.")
+        told.append(f"Only {join_words(verdict.only)} were tried; other effects may explain as much.")
     return " ".join(told)
 
 
@@ -126,19 +136,19 @@ def say_first(verdict: Verdict, meanings: Mapping[str, str]) -> str:
         first = verdict.causes[0]
         return describe_cause(first, meanings, verdict.before.chi2, is_suggested(first, verdict))
     if verdict.unexplained.significant and not verdict.partial:
-        return "Something that no known effect explains separates the twin from these logs."
+        return "The twin has an error that no known effect explains."
     if verdict.unexplained.significant:
-        return f"Something separates the twin from these logs; {name_nothing(verdict)}."
+        return f"The twin has an unexplained error; {name_nothing(verdict)}."
     if not is_floor(verdict):
-        return f"The twin misses these logs by {describe_miss(verdict)}; {name_nothing(verdict)}."
+        return f"The error of the twin is {describe_miss(verdict)}; {name_nothing(verdict)}."
     if verdict.partial:
-        return "What separates the twin from these logs may be noise; nothing of what was tried is named."
-    return "The twin explains these logs as well as sensor noise and disturbances allow; nothing is accused."
+        return "The error of the twin may be noise; no cause was found among what was tried."
+    return "The residuals are consistent with sensor noise and disturbances; no effect is needed."
 
 
 def name_nothing(verdict: Verdict) -> str:
     """That nothing is named, for good or so far."""
-    return "nothing of what was tried is named for it" if verdict.partial else "nothing can be named for it"
+    return "no cause was found among what was tried" if verdict.partial else "no cause was found"
 
 
 def is_floor(verdict: Verdict) -> bool:
@@ -149,7 +159,7 @@ def is_floor(verdict: Verdict) -> bool:
 def describe_miss(verdict: Verdict) -> str:
     """How large the error that is left is."""
     chi2 = verdict.after.chi2
-    return f"{math.sqrt(chi2):.3g} times what sensor noise makes (held-out chi² {chi2:.3g}, noise floor 1)"
+    return f"{math.sqrt(chi2):.3g} times the sensor noise (held-out chi² {chi2:.3g}, noise floor 1)"
 
 
 def describe_misfit(misfit: Misfit, verdict: Verdict, meanings: Mapping[str, str]) -> str:
@@ -158,15 +168,13 @@ def describe_misfit(misfit: Misfit, verdict: Verdict, meanings: Mapping[str, str
     if not misfit.joint:
         where = ""
     elif not math.isfinite(misfit.rmse):
-        where = f", most of all in {misfit.joint}, whose simulation diverges"
+        where = f", largest in {misfit.joint}, whose simulation diverges"
     elif misfit.horizon_s is None:
-        where = f", most of all in {misfit.joint}, where it is {format_error_of(misfit)} off {last}"
+        where = f", largest in {misfit.joint}: {format_error_of(misfit)} {last}"
     elif misfit.horizon_s == HORIZONS_S[-1]:
-        where = f", most of all in {misfit.joint}, which is {format_error_of(misfit)} off {last}, no sooner"
+        where = f", largest in {misfit.joint}: {format_error_of(misfit)} {last}, not before"
     else:
-        where = (
-            f", most of all in {misfit.joint} from {misfit.horizon_s:g} s ahead on: {format_error_of(misfit)} {last}"
-        )
+        where = f", largest in {misfit.joint} from {misfit.horizon_s:g} s ahead on: {format_error_of(misfit)} {last}"
     named = ""
     if verdict.causes:  # of which each has a sentence of its own
         count = len(verdict.causes)
@@ -174,7 +182,7 @@ def describe_misfit(misfit: Misfit, verdict: Verdict, meanings: Mapping[str, str
             f" with {name_effect(verdict.causes[0].effect, meanings) if count == 1 else f'the {count} causes below'}"
         )
     nothing = "" if verdict.causes else f"; {name_nothing(verdict)}"
-    return f"The twin{named} misses these logs by {describe_miss(verdict)}{where}{nothing}."
+    return f"The error of the twin{named} is {describe_miss(verdict)}{where}{nothing}."
 
 
 def format_error_of(misfit: Misfit) -> str:
@@ -191,24 +199,24 @@ def describe_remedy(verdict: Verdict) -> str:
         few, share = join_words(verdict.misfit.within[:MOST_WITHIN]), verdict.misfit.explained
         much = f"{100.0 * share:.0f} % of it" if share < 0.9 else "it"
         return (
-            f"What would help: {few} may be off by their build tolerance, as the twin believes it, and together that "
-            f"explains {much}, so that no one of them is accused: measure one, or log a motion that tells them apart."
+            f"What may help: {few} may be off within their build tolerances, and together that explains {much}, so "
+            "none of them is named: measure one, or log a motion that separates them."
         )
     joint = verdict.misfit.joint or "the joints"
-    check = f"check unit, sign, scale, zero and stamps of {joint} in the log and of what drives it"
+    check = f"check unit, sign, scale, zero and stamps of {joint} and of its drive in the log"
     if verdict.unexplained.depends_on:
         follows = join_words(verdict.unexplained.depends_on)
-        return f"What would help: an effect of your own, as what is missing follows {follows}; before that, {check}."
+        return f"What may help: an effect of your own, because the missing force follows {follows}; first {check}."
     if verdict.misfit.horizon_s == HORIZONS_S[0]:
         return (
-            f"What would help: {check}, and its inertia, as what shows so soon often is the log's or the model's fault."
+            f"What may help: {check}, and its inertia; an error at so short a horizon often is one of the log or model."
         )
     if not verdict.unexplained.significant and verdict.unexplained.force is not None:
         return (
-            f"What would help: maybe nothing, as {describe_force(verdict.unexplained)} (air, cables, the ground) makes "
-            f"that where sensors are so good; if it should be quieter, {check}."
+            f"What may help: perhaps nothing, because {describe_force(verdict.unexplained)} (air, cables, the ground) "
+            f"explains the error; if it should be quieter, {check}."
         )
-    return f"What would help: {check}; leave out what somebody touched, or log other motion, {joint} alone."
+    return f"What may help: {check}; leave out what somebody touched; log other motion, {joint} alone."
 
 
 def is_suggested(cause: Cause, verdict: Verdict) -> bool:
@@ -226,14 +234,18 @@ def describe_cause(cause: Cause, meanings: Mapping[str, str], chi2: float = math
         what = f"{fits[1]} of {size}{fits[2]}"
         what += f" ({', '.join(f'{n} {format_value(e)}' for n, e in shape)})" if shape else ""
     elif shape or not strength.unit:
-        what = f"{cause.summary}, {join_words([f'{name} {size}'] + [f'{n} {format_value(e)}' for n, e in shape])}"
+        size = size if not shape and name in cause.summary.split() else f"{name} {size}"
+        what = f"{cause.summary}, {join_words([size] + [f'{n} {format_value(e)}' for n, e in shape])}"
     else:
         what = f"{cause.summary}, {size}"
     if 0.0 < abs(strength.nominal) < REACHABLE:
         what += f", where the twin has {format_plain(strength.nominal, strength)},"
     else:
         what += "," if wrong else ", which the twin lacks,"
-    rivals = join_words([name_effect(rival.effect, meanings) for rival in cause.also_explained_by], "or")
+    shown = [rival for rival in cause.also_explained_by if rival.confidence >= WEAK]
+    named = [name_effect(rival.effect, meanings) for rival in shown[:MOST_RIVALS]]
+    more = [f"{len(shown) - MOST_RIVALS} other effects"] if len(shown) > MOST_RIVALS else []
+    rivals = join_words(named + more, "or")
     also = f"; so might {rivals}" if rivals else ""
     told = f"{what} {describe_gain(cause, chi2)}{also}."
     return f"Suggested: {told}" if suggested else f"{told[0].upper()}{told[1:]}"
@@ -247,13 +259,15 @@ def describe_gain(cause: Cause, chi2: float) -> str:
     """
     many = is_plural(cause.summary)
     explain, reduce = ("explain", "reduce") if many else ("explains", "reduces")
+    if cause.gain > -NOTHING and not cause.gain > NOTHING:
+        return f"{'change' if many else 'changes'} the error on held-out data by less than 1 %"
     if not cause.gain > NOTHING:
-        return f"{'do' if many else 'does'} not reduce the error on held-out log"
+        return f"{'do' if many else 'does'} not reduce the error on held-out data"
     if cause.gain > 1.0 and chi2 <= FLOOR:
-        return f"{reduce} the error on held-out log, in whose windows there was little beyond the assumed noise"
+        return f"{reduce} the error on held-out data, which hardly exceeded the assumed noise"
     share = f"{explain} {'all' if cause.gain > 1.0 else f'{100.0 * cause.gain:.0f} %'} of the error"
     if cause.blows:
-        return f"{share} in {cause.blows} blows, each predicted from the others"
+        return f"{share} in {cause.blows} impacts, each predicted from the others"
     if cause.gain_interval is not None and cause.gain_interval[0] <= 0.0:
         low, high = (100.0 * bound for bound in cause.gain_interval)
         return f"{share}, perhaps by chance (90 % interval {low:.0f} to {high:.0f} %)".replace("-", "−")
@@ -271,33 +285,42 @@ def describe_certainty(
         suggested: whether it is no more than suggested.
         partial: whether not everything was looked at.
     """
-    sure = f"{name_effect(cause.effect, meanings)}: {100.0 * cause.confidence:.3g} % sure"
+    sure = f"{name_effect(cause.effect, meanings)}: {100.0 * cause.confidence:.3g} % probable"
     sure = sure[0].upper() + sure[1:] if cause.effect in meanings else sure
     if partial:
-        sure += ", suggested and no more, as not everything was fitted in its place"
+        sure += ", only suggested, because not every rival was fitted"
     else:
-        sure += ", suggested and no more while something is left" if suggested else ""
+        sure += ", only suggested while something is unexplained" if suggested else ""
     if not cause.also_explained_by and partial:
         return [f"{sure}."]
     if not cause.also_explained_by:
-        held = " as far as the noise is what was assumed" if suggested else ""
-        return [f"{sure}; no other effect of the catalogue comes close{held}."]
-    return [f"{sure}."] + [describe_rival(rival, cause, meanings) for rival in cause.also_explained_by]
+        held = ", if the assumed noise is right" if suggested else ""
+        return [f"{sure}; no other effect explains these data as well{held}."]
+    return [f"{sure}.", describe_rivals(cause, meanings)]
 
 
-def describe_rival(rival: Rival, cause: Cause, meanings: Mapping[str, str]) -> str:
-    """What else it could be, how far apart the two are, and how probable it is."""
-    apart = f"{rival.sigma:.1f} sigma, {100.0 * rival.confidence:.0f} % probable"
-    return f"Can't tell {name_effect(rival.effect, meanings)} from {cause.summary} here: {apart}."
+def describe_rivals(cause: Cause, meanings: Mapping[str, str]) -> str:
+    """What else it could be, with probabilities and distances from the cause; rivals that are weak are counted."""
+    shown = [rival for rival in cause.also_explained_by if rival.confidence >= WEAK]
+    told = [f"{name_effect(rival.effect, meanings)}, {describe_distance(rival)}" for rival in shown]
+    if weak := len(cause.also_explained_by) - len(shown):
+        told.append(f"{weak} {'other effect' if weak == 1 else 'other effects'} below {100.0 * WEAK:.0f} % each")
+    return f"It may instead be {'; or '.join(told)}."
+
+
+def describe_distance(rival: Rival) -> str:
+    """How probable a rival is, and by how much worse it fits."""
+    fits = "fits equally well" if rival.sigma < 0.05 else f"fits worse by {rival.sigma:.1f} sigma"
+    return f"{100.0 * rival.confidence:.0f} % probable, {fits}"
 
 
 def describe_error(verdict: Verdict, tables: list[ErrorTable]) -> str:
-    """The error before and after at one horizon, on log that no fit has seen."""
+    """The error before and after at one horizon, on held-out data."""
     table = tables[0]
     row = table.rows[SHOWN_HORIZON]
     ahead = f"{table.quantity} error {row.horizon} ahead"
-    floor = f"; {table.noise_label} alone makes {table.noise} {table.unit}" if table.noise else ""
-    where = "On log that no fit has seen" if len(verdict.logs) > 1 else ALONE
+    floor = f"; {table.noise_label} alone is {table.noise} {table.unit}" if table.noise else ""
+    where = "On held-out data" if len(verdict.logs) > 1 else ALONE
     if not row.after:
         return f"{where}, the {ahead} is {row.before} {table.unit}{floor}."
     change = f" ({row.change}, 90 % interval)" if row.change else ""
@@ -310,24 +333,24 @@ def describe_unexplained(verdict: Verdict) -> str:
     left = verdict.unexplained
     told = is_floor(verdict) or verdict.misfit is not None
     if not left.significant and is_floor(verdict):
-        like = f"; what is left acts like {describe_force(left)}" if left.force is not None else ""
-        return f"Nothing beyond noise and disturbances is left unexplained{like}."
+        like = f"; the remainder acts like {describe_force(left)}" if left.force is not None else ""
+        return f"Nothing beyond noise and disturbances is unexplained{like}."
     if not left.significant:
-        like = f" What is left acts like {describe_force(left)}." if left.force is not None else ""
+        like = f" The remainder acts like {describe_force(left)}." if left.force is not None else ""
         if told:
-            return f"Nothing that was looked at explains the error that is left.{like}"
+            return f"No candidate explains the remaining error.{like}"
         if left.force is not None and verdict.after.chi2 > FAR:
-            return f"What is left acts like {describe_force(left)}: disturbances usually do as much."
-        return f"The error still is {describe_miss(verdict)}; nothing that was looked at explains that.{like}"
-    miss = "" if told else f" It still is {describe_miss(verdict)}."
+            return f"The remainder acts like {describe_force(left)}, as disturbances usually do."
+        return f"The error is still {describe_miss(verdict)}; no candidate explains it.{like}"
+    miss = "" if told else f" The error is still {describe_miss(verdict)}."
     follows = f"it follows {join_words(left.depends_on)}" if left.depends_on else ""
     if left.force is not None:
-        more = f"; {follows}" if follows else ", more than disturbances usually are"
-        return f"Something is left unexplained: it acts like {describe_force(left)}{more}.{miss}"
+        more = f"; {follows}" if follows else ", more than disturbances usually do"
+        return f"Something is unexplained: it acts like {describe_force(left)}{more}.{miss}"
     beyond = f", {left.sigma:.1f} sigma beyond chance" if left.sigma else ""
-    where = f", most of it in {left.channel}" if left.channel else ""
-    what = f"{100.0 * left.share:.0f} % of the force that the twin missed" if left.share > NOTHING else "Something"
-    return f"{what} is left unexplained{beyond}{where}{f'; {follows}' if follows else ''}.{miss}"
+    where = f", mostly in {left.channel}" if left.channel else ""
+    what = f"{100.0 * left.share:.0f} % of the missing force" if left.share > NOTHING else "Something"
+    return f"{what} is unexplained{beyond}{where}{f'; {follows}' if follows else ''}.{miss}"
 
 
 def describe_force(left: Unexplained) -> str:
@@ -344,4 +367,4 @@ def describe_experiment(experiment: Experiment, meanings: Mapping[str, str]) -> 
     values = ", ".join(f"{name} {value:g}" for name, value in experiment.parameters.items())
     given = f" ({values})" if values else ""
     between = join_words([name_effect(effect, meanings) for effect in experiment.separates])
-    return f"{experiment.manoeuvre}{given}: it is predicted to set {between} {experiment.sigma:.1f} sigma apart."
+    return f"{experiment.manoeuvre}{given}: it is predicted to separate {between} by {experiment.sigma:.1f} sigma."

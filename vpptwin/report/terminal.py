@@ -49,12 +49,13 @@ def list_findings(verdict: Verdict, summary: Summary) -> Table:
     if len(verdict.warnings) > MOST_WARNINGS:
         warnings = [*warnings, f"and {len(verdict.warnings) - MOST_WARNINGS} more in the report"]
     for heading, lines in (
-        ("share", [summary.share] if summary.share else []),
-        ("how sure", summary.certainty),
+        ("percentages", [summary.share] if summary.share else []),
+        ("confidence", summary.certainty),
+        ("weak", [f"{len(summary.weak)} more below 5 %, in the report"] if summary.weak else []),
         ("error", [summary.error]),
-        ("left over", [summary.unexplained]),
-        ("cleared", [f"{len(verdict.cleared)} suspects that these logs would have shown"] if verdict.cleared else []),
-        ("not seen", [f"{len(verdict.unseen)} suspects; the report tells why"] if verdict.unseen else []),
+        ("unexplained", [summary.unexplained]),
+        ("ruled out", [f"{len(verdict.cleared)} candidates; the report has the bounds"] if verdict.cleared else []),
+        ("not identifiable", [f"{len(verdict.unseen)} candidates; the report says why"] if verdict.unseen else []),
         ("warnings", warnings),
         ("fly next", [summary.experiment] if summary.experiment else []),
     ):

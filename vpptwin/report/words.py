@@ -21,6 +21,7 @@ def format_value(estimate: Estimate, signed: bool = False) -> str:
         return f"{value:{plus}.4g} {unit}".rstrip()
     first, exponent = f"{std:.0e}".split("e")
     digits = max(0, (first == "1") - int(exponent))
+    value = round(value, digits) + 0.0  # no negative zero
     return f"{value:{plus}.{digits}f} ± {std:.{digits}f} {unit}".rstrip()
 
 

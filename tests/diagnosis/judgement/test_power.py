@@ -73,7 +73,7 @@ def test_where_nothing_moves_nothing_of_motion_is_seen(tmp_path: Path) -> None:
         assert suspect.effect in ("slide.bias", "slide.spring", "slide.rate_bias")
         assert suspect.low <= 0.0 <= suspect.high
     reasons = {s.effect: s.reason for s in unseen}
-    assert reasons["motor.saturation"] == "nothing these flights did comes near a limit"
+    assert reasons["motor.saturation"] == "no motion in these logs comes near a limit"
     assert reasons["motor.gain"].startswith("gain of 0.05 would stand out by 0.")
 
 

@@ -69,11 +69,11 @@ def test_nobody_trains_on_a_rig_of_other_people(tmp_path: Path) -> None:
         (replace(NAMED, experiment=EXPERIMENT), "Fly next: x_steps: apart."),
         (
             replace(NAMED, causes=[replace(CAUSE, also_explained_by=[Rival("rail_x.viscous", 0.3, 1.0)])]),
-            "To log next: motion that tells rail_x.coulomb from viscous friction (rail_x.viscous), slower",
+            "Log next: motion that separates rail_x.coulomb from viscous friction (rail_x.viscous): slower",
         ),
-        (replace(NAMED, unseen=[Unseen("air.drag", "too slow")]), "To log next: motion that would show air.drag;"),
+        (replace(NAMED, unseen=[Unseen("air.drag", "too slow")]), "Log next: motion that excites air.drag;"),
         (replace(NAMED, unseen=[Unseen("a.b", "it only changes c, which is not there")]), "as a check."),
-        (NAMED, "To log next: another motion than in these logs, as a check. Nothing here needs it"),
+        (NAMED, "Log next: another motion, as a check. Nothing here depends on it"),
     ],
 )
 def test_there_always_is_something_to_fly_next(verdict: Verdict, words: str) -> None:
@@ -95,7 +95,7 @@ def test_what_is_unexplained_asks_for_an_effect(verdict: Verdict, tmp_path: Path
     """The file that the report offers loads as it is, acts on the joint that moves, and the command names it."""
     twin = write_rig(tmp_path)
     (step,) = [step for step in advise(verdict, load_twin(twin)) if step.source]
-    assert step.text.startswith("Write an effect for what is left")
+    assert step.text.startswith("Write an effect for the remainder")
     (words,) = list_commands([step])
     assert words[0] == "diagnose"
     assert "own.py" in words

@@ -80,19 +80,21 @@ def test_the_sentence_comes_first_then_what_to_do_then_the_evidence(page: str) -
     assert checker.headings == [
         "Dry friction of 0.306 ± 0.006 N on the horizontal rail, which the twin lacks, explains 79 % of the error; "
         "so might viscous friction on the horizontal rail (rail_x.viscous).",
-        "What now", "What the twin misses", "Error by horizon", "Log and twin", "How sure, and what else it could be",
-        "Left unexplained", "Suspects", "The logs", "Where this comes from",
+        "What now", "What the twin misses", "Error by horizon", "Log and twin", "Confidence and rivals",
+        "Unexplained", "Candidates", "The logs", "Where this comes from",
     ]  # fmt: skip
 
 
 WORDS = (
-    CAUSES[1].summary[1:], "2.4 sigma, 6 % probable", "4.7 sigma beyond chance", "it follows rail_x position",
-    "−70 to −60 %", "sensor noise", f"can&#39;t be seen in these logs: {UNSEEN[1].reason}",
-    "dry friction on the vertical guide <code>rail_z.coulomb</code>", "cleared: between 0 and 0.1 N", "vpptwin compare",
+    CAUSES[1].summary[1:], "6 % probable, fits worse by 2.4 sigma", "4.7 sigma beyond chance",
+    "it follows rail_x position",
+    "−70 to −60 %", "sensor noise", f"not identifiable: {UNSEEN[1].reason}",
+    "dry friction on the vertical guide <code>rail_z.coulomb</code>", "ruled out: between 0 and 0.1 N",
+    "vpptwin compare",
     "--twin &#39;x y/twin.yaml&#39;", '<a href="verdict.json">', '<a href="prediction.mcap">', EXPERIMENT.command,
     "flip.mcap: 2 gaps over 0.05 s", "of it usable", "vpptwin diagnose", "--out &#39;x y&#39;", "mujoco",
     "2cc387febc674e7fa99f6cd848fc7f7126397e29576ef37942c5ebce1b32c99f",
-    "The missing force that is dry friction on the horizontal rail (rail_x.coulomb)",
+    "Missing force: dry friction on the horizontal rail (rail_x.coulomb)",
     "<summary>The other 38</summary>", "onbeforeprint",  # a long list is folded; printing unfolds it
     "Held-out chi² (mean squared", "predicts open loop",  # what figures mean
 )  # fmt: skip
@@ -101,8 +103,12 @@ WORDS = (
 def test_the_page_tells(page: str) -> None:
     """Each finding of the verdict is on it in words; a sensor makes no missing force."""
     assert [words for words in WORDS if words not in page] == []
-    assert "The missing force that is a bias of the gyro" not in page
-    assert page.index("explains 79 % of the error") < page.index("Percentages are of the held-out excess chi²") < 30_000
+    assert "Missing force: a bias of the gyro" not in page
+    assert (
+        page.index("explains 79 % of the error")
+        < page.index("Percentages are shares of the held-out excess chi²")
+        < 30_000
+    )
 
 
 def test_what_did_not_change_is_folded_and_drawn_once(page: str) -> None:
@@ -142,7 +148,7 @@ def test_a_twin_that_is_right_has_a_short_report(tmp_path: Path) -> None:
         unexplained=Unexplained(False, 0.0, None, []), cleared=[], unseen=[], warnings=[],
     )  # fmt: skip
     page = write(replace(diagnosis, verdict=verdict, values={}, leftover_plot=None), tmp_path)
-    assert "nothing is accused" in page
+    assert "nothing is named" in page
     assert "vpptwin train task=flip twin=nominal" in page
     assert "vpptwin compare" not in page
     for absent in ("after</th>", "How sure", "Fly next", "Left unexplained", "The logs", "twin after"):
@@ -155,7 +161,7 @@ def test_a_misfit_comes_first_with_what_would_help(tmp_path: Path) -> None:
     verdict = replace(diagnosis.verdict, misfit=Misfit(9.2, "pitch", 0.1, 0.36, "rad"))
     text = write(replace(diagnosis, verdict=verdict), tmp_path).replace("\N{NO-BREAK SPACE}", " ")
     heading, remedy, cause = (
-        text.index(words) for words in ("<h1>The twin with ", "What would help:", "ry friction of")
+        text.index(words) for words in ("<h1>The error of the twin with ", "What may help:", "ry friction of")
     )
     assert heading < remedy < cause
 

@@ -19,8 +19,8 @@ def test_suspects_are_ranked_with_their_fates() -> None:
     first = {s.effect: (s.share, s.fate, s.told) for s in suspects[:3]}
     assert first == {
         "rail_x.coulomb": (1.0, "named", "named"),
-        "rail_x.viscous": (0.4, "rival", "can't be told from what is named"),
-        "rotor.drag": (0.1, "unseen", "can't be seen in these logs: no rotor speeds in the logs"),
+        "rail_x.viscous": (0.4, "rival", "rival of a named cause"),
+        "rotor.drag": (0.1, "unseen", "not identifiable: no rotor speeds in the logs"),
     }
     assert suspects[2].meaning == "a wrong drag torque"
     rest = {s.effect: s for s in suspects[3:]}
@@ -32,13 +32,13 @@ def test_suspects_are_ranked_with_their_fates() -> None:
 @pytest.mark.parametrize(
     ("suspect", "told"),
     [
-        (Cleared("rail_z.bias", "force", -0.02, 0.01, "N"), "cleared: between -0.02 and 0.01 N"),
+        (Cleared("rail_z.bias", "force", -0.02, 0.01, "N"), "ruled out: between -0.02 and 0.01 N"),
         # A bare number would not say of what.
-        (Cleared("rotor.thrust_gain", "gain", 0.987, 1.012, ""), "cleared: gain between 0.987 and 1.012"),
+        (Cleared("rotor.thrust_gain", "gain", 0.987, 1.012, ""), "ruled out: gain between 0.987 and 1.012"),
         # Small times are in milliseconds; two digits of the width are kept.
-        (Cleared("command.delay", "delay", 0.0, 0.0012, "s"), "cleared: between 0 and 1.2 ms"),
+        (Cleared("command.delay", "delay", 0.0, 0.0012, "s"), "ruled out: between 0 and 1.2 ms"),
         # What a servo could have done beyond what was asked of it, nobody knows.
-        (Cleared("servo.rate_limit", "rate", 8.4, 1000.0, "rad/s"), "cleared: above 8.4 rad/s"),
+        (Cleared("servo.rate_limit", "rate", 8.4, 1000.0, "rad/s"), "ruled out: above 8.4 rad/s"),
     ],
 )
 def test_bounds_of_what_is_cleared(suspect: Cleared, told: str) -> None:

@@ -61,12 +61,12 @@ class Seen:
         parts = []
         if self.denies(criteria):
             parts.append(
-                f"inverse dynamics of the same logs sees {self.share:.2f} ± {self.std:.2f} times the force that "
-                "prediction makes of it (1 would agree)"
+                f"inverse dynamics of the same logs finds {self.share:.2f} ± {self.std:.2f} times the force of the "
+                "fit (1 would agree)"
             )
         if self.asked > criteria.unbalanced:
             parts.append(
-                f"it asks for {self.asked:.2g} times the largest force that inputs, inertia and weight in the logs "
+                f"it needs {self.asked:.2g} times the largest force that inputs, inertia and weight in the logs "
                 "can balance"
             )
         return f"{self.effect} is doubted: on joint {self.joint} {', and '.join(parts)}"

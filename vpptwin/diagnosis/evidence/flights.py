@@ -74,7 +74,7 @@ def choose_window(spec: TwinSpec, measurements: Sequence[Measurements]) -> tuple
             raise InputError(
                 f"{flight.name}: {max(flight.duration, 0.0):.1f} s in which all needed topics were recorded",
                 f"at least {robot.shortest_log:g} s",
-                "log a longer flight",
+                "log for longer",
             )
     measurements = [mark_strikes(spec.model, flight, robot.window) for flight in measurements]
     usual = robot.window if robot.disturbance.known else find_steady(spec, measurements)
@@ -85,9 +85,9 @@ def choose_window(spec: TwinSpec, measurements: Sequence[Measurements]) -> tuple
     if chosen == usual:
         return spec.with_robot(window=usual), measurements
     told = (
-        f"so short that windows of {chosen:g} s take the place of {usual:g} s: what acts strongly all the time "
-        "shows; what is weak, slow, rare or only elsewhere does not, the gain is known roughly, and errors further "
-        "ahead than a window are not wholly on held-out log; log longer or again"
+        f"so short that windows have {chosen:g} s instead of {usual:g} s: strong effects that act all the time are "
+        "identifiable; weak, slow or rare ones are not, the share of the error is rough, and errors beyond a window "
+        "are not wholly on held-out data; log for longer, or log again"
     )
     spec = spec.with_robot(window=chosen, is_short=True)
     return spec, [replace(m, warnings=(*m.warnings, told)) for m in measurements]
@@ -160,8 +160,8 @@ def split_flights(
     if judging.sum() < MIN_JUDGES:
         raise InputError(
             f"{flight.name}: {flight.duration:.1f} s, of which {judging.sum()} windows can be held out",
-            f"at least {3 * MIN_JUDGES * window + 2 * SETTLE + window:.0f} s, or several flights",
-            "log a longer flight",
+            f"at least {3 * MIN_JUDGES * window + 2 * SETTLE + window:.0f} s, or several logs",
+            "log for longer",
         )
     return Split([starts[0][~judging]], [starts[0][judging]], False)
 
@@ -231,7 +231,7 @@ def build_bench(
             channels.append(seen)
     if not windows:
         found = f"{' and '.join(flight.name for flight in measurements)}: no {length:g} s in one piece to predict"
-        raise InputError(found, "such a stretch without gaps, on what is held out too", "log a longer flight")
+        raise InputError(found, "such a stretch without gaps, on what is held out too", "log for longer")
     names = [[c.name for c in part] for part in channels]
     if any(n != names[0] for n in names):
         raise InputError(

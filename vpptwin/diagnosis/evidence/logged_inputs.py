@@ -25,8 +25,8 @@ DRIVEN = 0.05
 TURN = np.arange(3, 6)
 """A free body's degrees of freedom that turn it, from its first."""
 TURNED = (
-    "{} turns as logged, since inputs do not tell what turned it: they may change faster than they are logged; what "
-    "acts on where it goes is in question, its inertia, centre of mass and single rotors are not"
+    "{} turns as logged, because the logged inputs do not explain its turning: they may change faster than they are "
+    "logged; forces on it are judged, its inertia, centre of mass and single rotors are not"
 )
 
 
@@ -66,8 +66,8 @@ def describe_weak_inputs(
     """A warning of what moves otherwise than the inputs in the logs say; none where they explain what they drive."""
     best = measure_obedience(spec, measurements)
     weak = [f"{share:.0%} on {spec.robot.name_dof(dof)}" for dof, share in enumerate(best) if share < criteria.obeyed]
-    told = f"the inputs in these logs explain but {', '.join(weak)} of the force that motion asks for: "
-    why = "they may change faster than they are logged, or be asked for and not what acted; causes there are guesses"
+    told = f"the inputs in these logs explain only {', '.join(weak)} of the force that the motion needs: "
+    why = "they may change faster than they are logged, or be commands that were not applied; causes there are guesses"
     return [told + why] if weak else []
 
 

@@ -30,8 +30,8 @@ STEP = 1e-3
 SUDDEN = 0.05
 """Share of a joint's usual speed over which its dry friction turns round."""
 HINT = (
-    "what joint {}'s model lacks follows motor {}: {:.2g} {} per {} of it (r = {:.2f} on log that this was not learnt "
-    "from); is the drive a tendon, a belt or a differential?"
+    "what joint {}'s model lacks follows motor {}: {:.2g} {} per {} of it (r = {:.2f} on held-out "
+    "data); is the drive a tendon, a belt or a differential?"
 )
 
 

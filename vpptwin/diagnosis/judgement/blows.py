@@ -124,14 +124,10 @@ def judge_blows(
     starts = [list_blows(flight, slow * LEAD, slow * LENGTH) for flight in clear]
     count = sum(map(len, starts))
     if count < criteria.fewest_blows:
-        reason = (
-            f"{count} blows in one piece, where {criteria.fewest_blows} are needed"
-            if count
-            else "nothing is seen to be struck"
-        )
+        reason = f"{count} separate impacts, {criteria.fewest_blows} are needed" if count else "no impact was found"
         return Findings(unseen=[Unseen(effect, reason) for effect in suspects])
     starts = [some[:: -(-count // MOST)] for some in starts]
-    stage(f"judging contacts by {sum(map(len, starts))} blows")
+    stage(f"judging contacts by {sum(map(len, starts))} impacts")
     spec = shorten_steps(spec)
     given = slow * LENGTH, True, progress, criteria, True, make_twin
     return Judge(build_bench(spec, clear, starts, *given), suspects, known).judge()
@@ -190,7 +186,7 @@ class Judge:
         alike = {rival.effect for cause in causes for rival in cause.also_explained_by}
         cleared, unseen = self.clear(here, [e for e in self.suspects if e not in chosen | alike])
         before, after = size_up(self.explain(frozenset())), size_up(here)
-        told = f"{self.count} blows, looked at by themselves, miss {before:.3g} times what the sensors make"
+        told = f"{self.count} impacts, judged on their own, are off by {before:.3g} times the sensor noise"
         told += f", {after:.3g} times with {' and '.join(doubt)}" if doubt else ""
         return Findings(causes, cleared, unseen, [told])
 
@@ -298,7 +294,7 @@ class Judge:
             ):
                 cleared.append(Cleared(effect, parameter.name, low, high, parameter.unit))
             else:
-                told = f"{parameter.name} of {low:.2g} or {high:.2g} predicts these {self.count} blows as well"
+                told = f"{parameter.name} of {low:.2g} or {high:.2g} predicts these {self.count} impacts as well"
                 unseen.append(Unseen(effect, told))
         return cleared, unseen
 

@@ -27,8 +27,8 @@ from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
 
 CONTRADICTED = (
-    "left out {}: the logs that were fitted ask for it, held-out log is predicted worse with it; one set of parameters "
-    "may not fit all of these logs: diagnose them one by one"
+    "left out {}: fitted data need it, held-out data are predicted worse with it; one set of parameters may not fit "
+    "all of these logs: diagnose them one by one"
 )
 STIFF = 0.99
 """Least impedance (`solimp`) of an equality that couples as a gear does."""
@@ -36,12 +36,12 @@ SOFT = (
     "equality {} of the MJCF gives (solimp up to {:.4g}): if it is rigid, such as a gear or a linkage, "
     'solimp="0.9999 0.9999 0.001" solref="0.004 1" make it so'
 )
-UNCONFIRMED = "{}: held-out log does not show it by itself, so that it is no more than suggested"
-PASSING = "{}: a wave that does not come again along the way is any force that depends on place; no more than suggested"
-UNRIVALLED = "{}: not everything that might explain as much was fitted in its place; no more than suggested"
-UNFELT = "{}: it takes away less of the held-out error than sensor noise makes, so that it is no more than suggested"
-HARMING = "{}: the held-out error is smaller without it, so that it is no more than an even chance"
-OUTWEIGHED = "{}: more of the held-out error stays unexplained than it explains, so that it is no more than suggested"
+UNCONFIRMED = "{}: held-out data alone do not show it, so it is only suggested"
+PASSING = "{}: a wave that does not repeat along the way may be any force that depends on place; only suggested"
+UNRIVALLED = "{}: not every rival was fitted in its place; only suggested"
+UNFELT = "{}: it removes less of the held-out error than sensor noise causes, so it is only suggested"
+HARMING = "{}: the held-out error is smaller without it, so its confidence is at most 50 %"
+OUTWEIGHED = "{}: more of the held-out error stays unexplained than it explains, so it is only suggested"
 
 
 def conclude(

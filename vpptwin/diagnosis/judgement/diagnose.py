@@ -132,7 +132,7 @@ def diagnose(
             given = stage, progress, criteria, make_twin, only
             work = partial(judge_blows, spec, material.measurements, found.values, *given)
             struck = any(len(flight.blows) for flight in material.measurements)
-            blows = deadline.attempt(["judging contacts by blows"], work, Findings()) if struck else work()
+            blows = deadline.attempt(["judging contacts by impacts"], work, Findings()) if struck else work()
         found = add_blows(found, blows)
         cut = Cut(deadline.why, round(deadline.passed, 1), deadline.not_done) if deadline.not_done else None
         return replace(found, verdict=replace(found.verdict, stopped=cut, only=sorted(only)))
@@ -215,11 +215,11 @@ def prepare(
         return Material(read, measurements, search, held_out, blows, inferred)
     judges: set[int] = set()
     if len(flights) > 1:
-        stage("choosing the flights that judge")
+        stage("choosing held-out data")
         told = measure_information(spec, measurements, unknowns, progress, criteria, make_twin)
         judges = choose_judges(told, criteria)
     split = split_flights(measurements, window, judges, spec.robot.is_short)
-    stage("linearising the twin about the flights")
+    stage("linearising the twin")
     fitted = thin_out(spec, split.fitted)
     bench = build_bench(spec, measurements, fitted, window, False, progress, criteria, make_twin=make_twin)
     if is_followed(spec):
@@ -285,9 +285,9 @@ def judge(
     leftover = judge_leftover(held_out, search, fit)
     verdict = conclude(spec, flights, material.measurements, search, held_out, selection, leftover.unexplained)
     if any(cause.also_explained_by for cause in verdict.causes):
-        stage("looking for the manoeuvre that tells rivals apart")
+        stage("looking for the manoeuvre that separates the rivals")
         work = partial(suggest_experiment, spec, search, selection, verdict.causes)
-        experiment = deadline.attempt(["looking for the manoeuvre that tells rivals apart"], work, None)
+        experiment = deadline.attempt(["looking for the manoeuvre that separates the rivals"], work, None)
         verdict = replace(verdict, experiment=experiment)
     preflight = [inspect_flight(spec, measured) for measured in material.measurements]
     return Diagnosis(verdict, fit.values, selection.first, held_out, leftover.plot, preflight, material.read)
@@ -331,4 +331,4 @@ def check_moving(measurements: Sequence[Measurements]) -> None:
     for flight in measurements:
         spread = max(float(np.ptp(series.value)) / series.std for series in flight.positions.values())
         if spread < 20.0:
-            raise InputError(f"{flight.name}: nothing moves", "a flight with motion", "log a manoeuvre")
+            raise InputError(f"{flight.name}: nothing moves", "a log with motion", "log a manoeuvre")

@@ -69,7 +69,7 @@ def weigh_limit(search: Search, fit: Fit, limit: Unknown) -> Cleared | Unseen:
         if square > search.criteria.seen**2:
             best = max(best, search.trials[i].values[limit.key])
     if best == 0.0:
-        return Unseen(limit.effect.id, "nothing these flights did comes near a limit")
+        return Unseen(limit.effect.id, "no motion in these logs comes near a limit")
     return Cleared(limit.effect.id, parameter.name, best, parameter.high, parameter.unit)
 
 

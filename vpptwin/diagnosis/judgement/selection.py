@@ -169,7 +169,7 @@ class Choosing:
     def add(self) -> bool:
         """Take in the best suspect that passes for a cause, and leave out what it makes superfluous."""
         criteria, fit = self.search.criteria, self.fit
-        self.stage(f"trying suspects (named: {', '.join(sorted(fit.effects)) or 'nothing yet'})")
+        self.stage(f"trying candidates (named: {', '.join(sorted(fit.effects)) or 'nothing yet'})")
         step = self.search.extend(fit, self.barred)
         self.first, self.steps = self.first or rank_first(self.search, step), self.steps + 1
         step, accepted = accept_cause(self.search, self.held_out, step, self.drops)

@@ -211,7 +211,7 @@ def refuse_tests(path: Path, names: list[str]) -> InputError:
     listed = ", ".join(f"#{k} {name}" for k, name in enumerate(names[:12]))
     more = f" and {len(names) - 12} more" if len(names) > 12 else ""
     found = f"{path} holds {len(names)} tests: {listed}{more}"
-    return InputError(found, "one flight here", f"give one, such as {path}#0")
+    return InputError(found, "one recording here", f"give one, such as {path}#0")
 
 
 def holds_table(content: Mapping[str, Any]) -> bool:

@@ -26,7 +26,7 @@ from vpptwin.logs.formats.vehicles import read_dataflash, read_ulog, read_usd
 from vpptwin.logs.parts import split_episode, split_test
 from vpptwin.system.errors import InputError, check_name
 
-LOG = "a flight log: MCAP (ros2 profile, CDR messages), CSV, or another of docs/logs.md"
+LOG = "a log: MCAP (ros2 profile, CDR messages), CSV, or another of docs/logs.md"
 """What is expected where none was given."""
 
 

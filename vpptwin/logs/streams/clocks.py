@@ -99,7 +99,7 @@ def refuse_step(path: str, topic: str, time: float, change: float) -> InputError
     return InputError(
         f"{path}: the clock of {topic} steps by {change:+.2f} s against the others, about {time:.1f} s into the log",
         "clocks that run through",
-        "cut the log there, set clocks before flights only, or give the topic `stamp: log_time` in a topic map",
+        "cut the log there, set clocks before recording only, or give the topic `stamp: log_time` in a topic map",
     )
 
 

@@ -54,8 +54,8 @@ class Condenser:
         needed, seconds = (max(values) if i else sum(values) for i, values in enumerate(zip(*self.held.values())))
         if needed > MAX_BYTES:
             raise InputError(
-                f"{self.path}: the numbers that are wanted of {seconds:.0f} s of it take {needed / 1e9:.1f} GB",
-                f"at most {MAX_BYTES / 1e9:.1f} GB a flight",
+                f"{self.path}: the needed numbers of {seconds:.0f} s take {needed / 1e9:.1f} GB",
+                f"at most {MAX_BYTES / 1e9:.1f} GB a log",
                 f"give a stretch of it, such as {self.path}@0-{0.5 * seconds:.0f} (seconds)",
             )
 

@@ -69,14 +69,14 @@ def list_steps(
     if verdict.stopped is not None:
         steps.append(NextStep(f"Diagnose again with more time, or make it shorter: {SHORTER}."))
     if verdict.causes:
-        told = "Compare both twins. Best on a log that was not diagnosed: put its name in the place of these."
+        told = "Compare both twins, best on a log that was not diagnosed."
         steps.append(
             NextStep(
                 told, session.type("compare", *session.logs, "--twin", session.spec.name, "--twin", session.extended)
             )
         )
     beside = "extended twin" if verdict.causes else "twin"
-    steps.append(NextStep(f"Watch the {beside} beside a log.", session.type("play", session.logs[0], "--twin", twin)))
+    steps.append(NextStep(f"View the {beside} beside a log.", session.type("play", session.logs[0], "--twin", twin)))
     if is_unexplained(verdict):
         steps.append(suggest_own_effect(verdict, session))
     else:
@@ -99,13 +99,13 @@ def advise_flight(verdict: Verdict, meanings: Mapping[str, str]) -> str:
     if rivals:
         cause, rival = max(rivals, key=lambda pair: pair[1].confidence)
         apart = f"{name_effect(cause.effect, meanings)} from {name_effect(rival.effect, meanings)}"
-        return f"To log next: motion that tells {apart}, slower, faster or elsewhere than in these logs."
+        return f"Log next: motion that separates {apart}: slower, faster or elsewhere than in these logs."
     hidden = [suspect for suspect in verdict.unseen if "which is not there" not in suspect.reason]
     if hidden:
         named = join_words([name_effect(suspect.effect, meanings) for suspect in hidden[:3]])
         more = f" and {len(hidden) - 3} more" if len(hidden) > 3 else ""
-        return f"To log next: motion that would show {named}{more}; below stands why these logs could not."
-    return "To log next: another motion than in these logs, as a check. Nothing here needs it to be decided."
+        return f"Log next: motion that excites {named}{more}; the list of candidates says why these logs do not."
+    return "Log next: another motion, as a check. Nothing here depends on it."
 
 
 @by_robot
@@ -125,7 +125,7 @@ def suggest_own_effect(verdict: Verdict, session: Session) -> NextStep:
     left = verdict.unexplained
     follows = f", which follows {join_words(left.depends_on)}" if left.depends_on else ""
     told = (
-        f"Write an effect for what is left{follows}: save these lines as own.py, put your law in, and diagnose again."
+        f"Write an effect for the remainder{follows}: save these lines as own.py, put your law in, and diagnose again."
     )
     words = [*session.logs, "--twin", session.spec.name, "--effects", "own.py", "--out", str(session.out or UNSAVED)]
     return NextStep(told, session.type("diagnose", *words), write_own_effect(verdict, session.spec.robot))

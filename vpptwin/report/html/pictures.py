@@ -74,8 +74,8 @@ def draw_pictures(
         flight={name: drawings for name, drawings in tracks.items() if drawings},
         same=frozenset(same),
         flight_name=shown.flight.name if shown is not None else "",
-        leftover=draw("the picture of what is left", partial(draw_wrench, plot, "left"), none) if plot else [],
-        prints=draw("pictures of suspects", partial(draw_fingerprints, bench), dict[str, str]()),
+        leftover=draw("the picture of the remainder", partial(draw_wrench, plot, "left"), none) if plot else [],
+        prints=draw("pictures of candidates", partial(draw_fingerprints, bench), dict[str, str]()),
     )
 
 

@@ -27,10 +27,10 @@ class Suspect:
 
 def rank_suspects(ranking: Sequence[tuple[str, float]], verdict: Verdict, meanings: Mapping[str, str]) -> list[Suspect]:
     """Suspects, strongest first, those that nobody tried last; meanings: effect id → summary of the catalogue."""
-    fates = {s.effect: ("unseen", f"can't be seen in these logs: {s.reason}") for s in verdict.unseen}
+    fates = {s.effect: ("unseen", f"not identifiable: {s.reason}") for s in verdict.unseen}
     fates |= {suspect.effect: ("cleared", describe_cleared(suspect)) for suspect in verdict.cleared}
     for cause in verdict.causes:
-        fates |= {rival.effect: ("rival", "can't be told from what is named") for rival in cause.also_explained_by}
+        fates |= {rival.effect: ("rival", "rival of a named cause") for rival in cause.also_explained_by}
     fates |= {cause.effect: ("named", "named") for cause in verdict.causes}
     drops = dict.fromkeys(fates, 0.0) | {effect: max(drop, 0.0) for effect, drop in ranking}
     most = max(drops.values(), default=0.0)
@@ -48,7 +48,7 @@ def describe_cleared(suspect: Cleared) -> str:
     parameter = "" if unit else f"{suspect.parameter} "
     low, high = factor * suspect.low, factor * suspect.high
     if low > 0.0 and high > OPEN * low:
-        return f"cleared: {parameter}above {low:.2g} {unit}".rstrip()
+        return f"ruled out: {parameter}above {low:.2g} {unit}".rstrip()
     digits = 1 - math.floor(math.log10(high - low)) if high > low else 3
     bounds = f"between {round(low, digits):g} and {round(high, digits):g}"
-    return f"cleared: {parameter}{bounds} {unit}".rstrip()
+    return f"ruled out: {parameter}{bounds} {unit}".rstrip()

@@ -233,7 +233,7 @@ def tell_lost(spec: TwinSpec, topics: Mapping[str, Stream]) -> list[str]:
 def list_unseen(spec: TwinSpec, topic: str) -> str:
     """The effects that show in one topic alone, as part of a sentence."""
     hidden = [effect.id for effect in spec.catalogue if set(effect.shows) == {topic}]
-    return f", {' and '.join(hidden)} can't be seen" if hidden else ""
+    return f", {' and '.join(hidden)} cannot be identified" if hidden else ""
 
 
 def check_accelerometer(label: str, force: np.ndarray) -> None:

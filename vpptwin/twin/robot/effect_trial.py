@@ -89,7 +89,7 @@ def try_cases(effect: Effect, where: str, rig: Robot) -> None:
 
 def refuse_active(where: str, change: str, given: str) -> None:
     """Refuse an effect that acts while it is off."""
-    expected = "nothing changed, to the last bit, as no flight could clear it otherwise"
+    expected = "nothing changed, to the last bit"
     found = f"{where} is not off at its off values ({given}): {change}"
     raise InputError(found, expected, "correct `off` or the function")
 

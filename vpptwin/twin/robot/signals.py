@@ -150,7 +150,7 @@ def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> 
     unheld = [site for site in signals.sites if site in sites and sites[site] not in floating]
     if unheld:
         found = f"{name}: signals name site {unheld[0]!r}, which is on no free body"
-        raise InputError(found, "IMUs on bodies that fly or float", "leave it out: joints tell their own motion")
+        raise InputError(found, "IMUs on bodies that fly or float", "leave it out: joints have their own signals")
     kinds = (("joint", signals.joints, joints), ("free body", signals.bodies, list(floating)),
              ("joint", signals.driven, [*joints, *floating]), ("site", signals.sites, list(sites)),
              ("actuator", signals.actuators, actuators))  # fmt: skip

@@ -40,7 +40,7 @@ class Server:
     """A scene that browsers watch, and pages around it; takes the place of meshcat's window.
 
     Args:
-        host: address of this machine to listen on; the default is heard by this machine alone.
+        host: address of this machine to listen on; by default only this machine can connect.
         gets: path below the secret → what answers a GET.
         posts: path below the secret → what answers a POST.
 
