@@ -57,7 +57,7 @@ SHORT: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "one_second": (lambda path: write_log(path, [swing(k) for k in range(100)], 1.0),
         ("1.0 s", "at least 5 s", "for longer")),
     "standing": (lambda path: write_log(path, [make_pose(EPOCH + k * PERIOD) for k in range(1200)]),
-        ("nothing moves", "a flight with motion")),
+        ("nothing moves", "a log with motion")),
     "few_poses": (lambda path: write_log(path, [swing(0), swing(1199)]), ("times a second", "at least", "Hz")),
     "apart": (lambda path: write_log(path, [swing(k, k + 2000) for k in range(1200)]),
         ("in which all needed topics were recorded", "at least 5 s")),

@@ -59,7 +59,7 @@ def check_damping(decay: Decay) -> None:
 def check_short(decay: Decay) -> None:
     """Windows are short enough, the verdict says what a short log can't show."""
     assert decay.verdict["samples"]["held_out_windows"] >= 3
-    assert any("so short that windows of 0." in warning for warning in decay.verdict["warnings"])
+    assert any("so short that windows have 0." in warning for warning in decay.verdict["warnings"])
     assert "short: in windows of 0." in (decay.out / "report.html").read_text()
 
 

@@ -75,7 +75,7 @@ def test_one_step_tells_the_damping(tmp_path: Path) -> None:
     assert before is not None
     assert after is not None
     assert after[3] < 0.05 * before[3]
-    assert "this log alone" in result.summary.error
+    assert "held-out stretches of this log" in result.summary.error
     assert not {"motor.gain", "motor.delay", "slide.inertia"} & {c.effect for c in result.verdict.causes}
 
 

@@ -17,7 +17,7 @@ PROMISED = {
     "own_rig": ["wrote cart.yaml", "± 0.03 N on joint slide, which the twin lacks, explains 100 %", "whole-log chi²"],
     "quadrotor": ["A wrong gain of actuator m2, 0.856 ± 0.005", "whole-log chi² 298 of quadrotor.yaml, 1.59 of"],
     "arm": ["wrote arm.yaml", "A payload of 64 ± 4 g on forearm", "whole-log chi² 12.8 of arm.yaml, 0.175 of"],
-    "leg": ["Dry friction of 0.100 ± 0.005 N m on joint knee", "whole-log chi² 3.42e+05 of leg.yaml, 49.2 of"],
+    "leg": ["Dry friction of 0.100 ± 0.005 N m on joint knee", "whole-log chi² 342,000 of leg.yaml, 49.2 of"],
     "retrain": ["ms from command to servo, which the twin lacks", "20 flights of flip"],
     "write_effect": ["no known effect explains", "it follows rail_x position",
         "A belt that cogs on the horizontal rail"],

@@ -110,3 +110,18 @@ def test_help_uses_plain_words() -> None:
     (commands,) = (action.choices for action in parser._actions if isinstance(action.choices, dict))
     told = [parser.format_help(), *(command.format_help() for name, command in commands.items() if name != "train")]
     assert find_words("\n".join(told)) == []
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_tables_are_rectangular(page: str) -> None:
+    """Every row has as many cells as the head, and no blank line or text breaks a table in two."""
+    text = re.sub(r"^```.*?^```", "", read(page), flags=re.DOTALL | re.MULTILINE)
+    for table in re.findall(r"(?:^\|.*(?:\n|$))+", text, flags=re.MULTILINE):
+        head, rule, *rows = table.splitlines()
+        assert re.fullmatch(r"\|(?:\s*:?-+:?\s*\|)+", rule), table
+        assert [row for row in (rule, *rows) if count_cells(row) != count_cells(head)] == []
+
+
+def count_cells(row: str) -> int:
+    """Bars that part cells, of a row of a table."""
+    return len(re.findall(r"(?<!\\)\|", row))

@@ -73,7 +73,7 @@ def test_a_signal_keeps_what_was_found(
     assert verdict["cleared"] == []
     report = (tmp_path / "report.html").read_text()
     assert "This verdict is partial: SIGTERM stopped the run" in report.replace("\N{NO-BREAK SPACE}", " ")
-    assert "no other effect of the catalogue comes close" not in report
+    assert "no other effect explains these data as well" not in report
     assert "stopped the run" in yaml.safe_load((tmp_path / "twin.yaml").read_text())["provenance"]["partial"]
     assert load_twin(tmp_path / "twin.yaml").effects["slide.coulomb"]["force"] == pytest.approx(1.1, abs=0.1)
     assert (tmp_path / "prediction.mcap").exists()
@@ -120,7 +120,7 @@ def test_candidates_can_be_named(cart: Path) -> None:
     assert found.verdict.only == ["motor.delay", "slide.viscous"]
     assert {cause.effect for cause in found.verdict.causes} <= set(found.verdict.only)
     assert all(cause.confidence <= 0.89 for cause in found.verdict.causes)
-    assert "No candidates were tried but motor.delay and slide.viscous" in found.summary.partial
+    assert "Only motor.delay and slide.viscous were tried" in found.summary.partial
     assert {entry.effect for entry in (*found.verdict.cleared, *found.verdict.unseen)} <= {
         "motor.delay",
         "slide.viscous",

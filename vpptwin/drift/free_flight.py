@@ -1,4 +1,4 @@
-"""Chosen parameters of a twin from flights: how large they are, how sure that is, and which can't be told apart."""
+"""Chosen parameters of a twin fitted to logs: values, intervals, and which are not separable."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class LeastSquares:
 
 @dataclass(frozen=True)
 class FlightFit:
-    """What flights tell of chosen parameters."""
+    """Chosen parameters fitted to logs."""
 
     values: dict[Key, Estimate]  # (effect id, parameter) → estimate; not of effects that nothing shows
     alike: list[tuple[Key, Key, float]]  # pairs whose errors correlate, with their correlation, the worst first
@@ -90,10 +90,10 @@ def fit_flights(
 
     Args:
         spec: the twin.
-        flights: logs; with several, whole flights are held out.
+        flights: logs; with several, whole logs may be held out.
         effects: ids.
-        stage: told what is being done.
-        progress: told how many inner steps were simulated.
+        stage: called with the present step, in words.
+        progress: called with the number of inner steps that were simulated.
 
     Raises:
         InputError: as `diagnose`.

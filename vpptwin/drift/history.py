@@ -1,4 +1,4 @@
-"""`vpptwin history`: named parameters flight by flight, what changes and from when on, and what left its band."""
+"""`vpptwin history`: named parameters log by log, what changes and from when on, and what left its band."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ EARLIEST = 946_684_800 * 10**9
 
 @dataclass(frozen=True, repr=False)
 class History(ParameterHistory):
-    """What every flight says of named parameters. Printed it is a sentence for each, in a notebook the page."""
+    """Named parameters log by log. Printed it is a sentence for each, in a notebook the page."""
 
     _origin: Provenance = field(repr=False)
 
@@ -80,7 +80,7 @@ class History(ParameterHistory):
 
 @dataclass(frozen=True)
 class FitTask:
-    """A flight to fit: the twin by its files, so that another process can load it."""
+    """A log to fit: the twin by its files, so that another process can load it."""
 
     flight: Flight
     twin: str
@@ -91,7 +91,7 @@ class FitTask:
 
 
 def fit_flight(task: FitTask) -> FlightFit:
-    """Fit one flight by itself."""
+    """Fit one log by itself."""
     spec = load_twin(task.twin, task.effect_files).with_effects(task.effects)
     if spec.controller != task.controller:
         spec = spec.with_controller(task.controller)
@@ -103,15 +103,15 @@ def history(
     bands: Mapping[str, Band] | None = None, jobs: Jobs = 1, topic_map: str | PathLike[str] | None = None,
     effects: Sequence[str | PathLike[str]] = (), progress: bool = True,
 ) -> History:  # fmt: skip
-    """Fit the named causes to every flight by itself, and tell what changes: what `vpptwin history` does.
+    """Fit the named causes to every log by itself, and report what changes, as `vpptwin history` does.
 
     Args:
-        logs: flight logs, each a flight; their own stamps tell the date.
+        logs: each a recording; their stamps give the date.
         twin: `nominal`, `typical`, a twin YAML, or what `load_twin` read.
         parameters: effect ids, separated by commas; by default those that a diagnosis or identification found, as the
             twin's provenance says, or else all that are switched on in it.
         bands: "EFFECT.PARAMETER" → lowest and highest value that it should have, in its unit.
-        jobs: processes that share the flights, or `ray` for the Ray that RAY_ADDRESS names.
+        jobs: processes that share the logs, or `ray` for the Ray that RAY_ADDRESS names.
         topic_map: YAML that renames topics of other people's bags.
         effects: Python files with effects of the user's own, which are run; not for a twin that was read already.
         progress: whether a bar is shown on standard error.
@@ -150,7 +150,7 @@ def history(
 
 
 def follow(record: ParameterHistory, key: Key, meaning: str, band: Band | None) -> Course:
-    """One parameter over the flights of a history."""
+    """One parameter over the logs of a history."""
     values = [flight.fit.values.get(key) for flight in record.flights]
     known = {i: value for i, value in enumerate(values) if value is not None}
     shown, trend = list(known), None

@@ -14,7 +14,7 @@ from vpptwin.drift.trend import CLEAR, WAYS
 from vpptwin.effects import SIGMAS_90
 from vpptwin.report.html.page import open_templates, tie_units
 from vpptwin.report.provenance import Provenance
-from vpptwin.report.words import format_value
+from vpptwin.report.words import format_digits, format_value
 from vpptwin.viz.plots.figure import AFTER, BEFORE, INK, name_axes, open_figure, write_svg
 from vpptwin.viz.plots.palette import GREEN
 
@@ -49,7 +49,7 @@ def render_history(record: ParameterHistory, origin: Provenance) -> str:
         record=record, sentences=record.sentences, rows=rows, weighed=weighed, clear=CLEAR, origin=origin,
         banded=any(course.band is not None for course in record.courses),
         figures=[draw_course(record, course) for course in record.courses if course.shown],
-        warnings=record.warnings,
+        warnings=record.warnings, format_digits=format_digits,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Whether a parameter changes from flight to flight: staying, rising steadily, jumping, or rising from some flight on.
+"""Whether a parameter changes from log to log: constant, steady change, a step, or steady change from some log on.
 
 A flight's value scatters by its own standard deviation and by a scatter between flights, which nobody knows: it is
 integrated out over a prior that is even in its logarithm. A change has a course that goes from 0 at the first flight

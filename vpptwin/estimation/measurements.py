@@ -1,4 +1,4 @@
-"""The measurements of one flight, sorted by the degree of freedom they measure, on any rig."""
+"""The measurements of one log, by degree of freedom, on any rig."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["Measurements", "Series", "list_warnings", "read_measurements"]
 
 
 def read_measurements(spec: TwinSpec, flight: Flight) -> Measurements:
-    """Sort a flight's streams by degree of freedom.
+    """Sort a log's streams by degree of freedom.
 
     Raises:
         InputError: if the log lacks a topic, joint or actuator that the twin needs.
@@ -23,7 +23,7 @@ def read_measurements(spec: TwinSpec, flight: Flight) -> Measurements:
 
 
 def list_warnings(flights: Sequence[Flight], measurements: Sequence[Measurements]) -> list[str]:
-    """What looks odd about logs and what was made of them: whatever was read of a log for, its user is told this."""
+    """What is wrong with logs and what was done about it; every command prints it."""
     pairs = zip(flights, measurements, strict=True)
     return [f"{flight.name}: {text}" for flight, read in pairs for text in (*flight.warnings, *read.warnings)]
 

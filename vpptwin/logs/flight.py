@@ -1,4 +1,4 @@
-"""A flight as arrays: what reading a log gives, whatever the log was called and in whatever order it was recorded."""
+"""A log as arrays, whatever its format and the order in which it was recorded."""
 
 from __future__ import annotations
 

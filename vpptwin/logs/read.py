@@ -1,4 +1,4 @@
-"""Reading a flight log: from MCAP files to a Flight, checked and in order of the header stamps."""
+"""Reading a log: from files to a Flight, checked and in order of the header stamps."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ JointSamples = dict[str, dict[str, Samples]]
 def read_flight(
     path: PathLike | Sequence[PathLike], topic_map: PathLike | None = None, signals: SignalEntries | None = None
 ) -> Flight:
-    """Read a flight log.
+    """Read a log.
 
     Args:
         path: a log in any format of docs/logs.md, a rosbag2 folder, or a list of the files of one recording.
@@ -95,7 +95,7 @@ def read_flight(
 
 
 def expand_logs(paths: Iterable[PathLike]) -> list[Path]:
-    """The flights that logs stand for; a line on standard error says how many a folder, a data set or a pattern has."""
+    """The recordings that logs stand for; a line on standard error says how many a folder, a set or a pattern has."""
     found: list[Path] = []
     for path in paths:
         within = list_flights(path)

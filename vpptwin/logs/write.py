@@ -1,4 +1,4 @@
-"""Writing flight logs that `ros2 bag`, Foxglove and PlotJuggler open."""
+"""Writing logs that `ros2 bag`, Foxglove and PlotJuggler open."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class _Template:
 
 
 class FlightWriter:
-    """Writes a flight log. The file appears when the context closes without an exception, otherwise not at all."""
+    """Writes a log. The file appears when the context closes without an exception, otherwise not at all."""
 
     def __init__(
         self, path: str | os.PathLike[str], start_ns: int = START_NS, metadata: Mapping[str, str] | None = None

@@ -1,4 +1,4 @@
-"""`vpptwin compare`: how well twins predict flights, with nothing fitted."""
+"""`vpptwin compare`: how well twins predict logs, with nothing fitted."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from vpptwin.report.output import give_json
 from vpptwin.report.sources import Log, list_logs, open_flights, open_twin
 from vpptwin.report.summary import SHOWN_HORIZON
 from vpptwin.report.terminal import print_beside, print_errors
+from vpptwin.report.words import format_digits
 from vpptwin.system.errors import InputError
 from vpptwin.system.files import STDOUT
 from vpptwin.system.progress import open_bar
@@ -58,7 +59,7 @@ class Scored:
         """Chi² and the errors a quarter of a second ahead."""
         told = [f"{t.quantity} {t.rows[SHOWN_HORIZON].before} {t.unit}" for t in self.tabulate()[:2]]
         ahead = f"{HORIZONS_S[SHOWN_HORIZON]:g} s ahead"
-        return f"{self.twin}: chi² {self.score.chi2:.3g}, errors {ahead}: {', '.join(told)}"
+        return f"{self.twin}: chi² {format_digits(self.score.chi2)}, errors {ahead}: {', '.join(told)}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -100,7 +101,7 @@ def compare(
     """Score twins on whole logs: what `vpptwin compare` prints.
 
     Args:
-        logs: flight logs, each a flight.
+        logs: each a recording.
         twins: one or several, each `nominal`, `typical`, a twin YAML, or what `load_twin` read.
         topic_map: YAML that renames topics of other people's bags.
         effects: Python files with effects of the user's own, which are run; not for twins that were read already.
@@ -151,10 +152,10 @@ def compare_logs(
         console, (first, *others) = open_console(), comparison.twins
         if others:
             print_beside(console, {one.twin: one.tabulate() for one in comparison.twins})
-            chi2 = ", ".join(f"{one.score.chi2:.3g} of {one.twin}" for one in comparison.twins)
+            chi2 = ", ".join(f"{format_digits(one.score.chi2)} of {one.twin}" for one in comparison.twins)
         else:
             print_errors(console, f"prediction error of twin {first.twin}", first.tabulate())
-            chi2 = f"{first.score.chi2:.3g}"
+            chi2 = format_digits(first.score.chi2)
         console.print(CHI2.format(chi2))
     if json is not None:
         give_json(comparison.as_dict(), json)

@@ -45,7 +45,7 @@ LINES, COLUMNS = 10, 160
 """A result prints in no more than so many lines of so many characters."""
 LONG = 60.0
 """Time after which a run says how to make it shorter [s]."""
-UNDRAWN = "pictures and predictions are not there: the run ended before they were made"
+UNDRAWN = "pictures and predictions are missing: the run ended before they were made"
 
 
 class Picture(str):
@@ -70,9 +70,9 @@ class Result:
 
     Attributes:
         verdict: causes, errors before and after, what is left, as in verdict.json.
-        twin: the twin that was diagnosed, the causes switched on as they were fitted.
+        twin: the diagnosed twin with the fitted causes switched on.
         summary: the verdict in sentences.
-        lost: what of pictures and files could not be made and why, which is among the verdict's warnings, too.
+        lost: pictures and files that could not be made, and why; also among the verdict's warnings.
     """
 
     verdict: Verdict
@@ -105,7 +105,7 @@ class Result:
 
     @property
     def figures(self) -> dict[str, list[Picture]]:
-        """The report's pictures as SVG by what they show, the missing force by the cause that is accused of it."""
+        """The report's pictures as SVG by what they show, the missing force by the cause that explains it."""
         drawn = self._drawn.pictures
         named = {f"force {effect}": drawings for effect, drawings in drawn.forces.items()}
         for name, found in (("errors", drawn.errors), ("flight", drawn.flight)):
@@ -197,7 +197,7 @@ def diagnose(
     """Find what a twin gets wrong: what the command `vpptwin diagnose` does, its files aside.
 
     Args:
-        logs: flight logs, each a flight.
+        logs: each a recording.
         twin: `nominal`, `typical`, a twin YAML, or what `load_twin` read.
         topic_map: YAML that renames topics of other people's bags.
         effects: Python files with effects of the user's own, which are run; not for a twin that was read already.
@@ -259,7 +259,7 @@ def choose_candidates(spec: TwinSpec, only: Sequence[str]) -> frozenset[str]:
     """Ids of the effects that ids and patterns name.
 
     Raises:
-        InputError: if one names none, or all together name none that shows but in blows.
+        InputError: if one names none, or all together name only effects that need impacts.
     """
     known = {effect.id: effect for effect in spec.catalogue}
     chosen = set[str]()
@@ -282,7 +282,7 @@ def collect_result(
 
     Args:
         spec: the twin that was diagnosed.
-        flights: that it was diagnosed on.
+        flights: logs that were diagnosed.
         diagnosis: what came out.
         origin: where it comes from.
         options: of the command that does the same, which other commands have too.
@@ -300,7 +300,7 @@ def collect_result(
 
 
 def draw_result(twins: Sequence[TwinSpec], flights: Sequence[Flight], diagnosis: Diagnosis, noise: NoiseFloor) -> Drawn:
-    """Pictures of a diagnosis, and what twins predict for its flights."""
+    """Pictures of a diagnosis, and what twins predict for its logs."""
     pieces, predictions = Pieces(), list[FlightPrediction | None]()
     for flight, measured in zip(flights, diagnosis.measurements, strict=True):
         what = f"the prediction of {flight.name}"

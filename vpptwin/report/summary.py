@@ -21,6 +21,7 @@ from vpptwin.effects import UNLIMITED
 from vpptwin.report.error_table import ErrorTable, tabulate_errors
 from vpptwin.report.words import (
     choose_unit,
+    format_digits,
     format_plain,
     format_value,
     is_plural,
@@ -50,9 +51,8 @@ WEAK = 0.05
 MOST_RIVALS = 2
 """Rivals that the headline names at most."""
 SHARE = (
-    "Percentages are shares of the held-out excess chi²: the squared error of positions and angles on held-out data, "
-    "beyond sensor noise. At 100 % only that noise would remain. Short horizons, where predictions are precise, "
-    "dominate the share; the error 1 s ahead may change less."
+    "Percentages are shares of the held-out excess chi²: the squared error on held-out data beyond sensor noise. "
+    "Short horizons dominate them; the error 1 s ahead may change less."
 )
 """What the percentages beside causes are shares of; those of what is left are shares of the missing force."""
 ALONE = "On held-out stretches of this log"
@@ -159,7 +159,8 @@ def is_floor(verdict: Verdict) -> bool:
 def describe_miss(verdict: Verdict) -> str:
     """How large the error that is left is."""
     chi2 = verdict.after.chi2
-    return f"{math.sqrt(chi2):.3g} times the sensor noise (held-out chi² {chi2:.3g}, noise floor 1)"
+    times = format_digits(math.sqrt(chi2))
+    return f"{times} times the sensor noise (held-out chi² {format_digits(chi2)}, noise floor 1)"
 
 
 def describe_misfit(misfit: Misfit, verdict: Verdict, meanings: Mapping[str, str]) -> str:

@@ -12,6 +12,7 @@ from rich.text import Text
 from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.report.error_table import ErrorTable
 from vpptwin.report.summary import HORIZON, Summary
+from vpptwin.report.words import format_digits
 from vpptwin.system.terminal import open_console
 
 MOST_WARNINGS = 3
@@ -34,8 +35,12 @@ def print_summary(verdict: Verdict, summary: Summary, out: Path, files: Sequence
         console.print(f"  {verdict.experiment.command}", soft_wrap=True)
     console.print()
     title = f"error on {verdict.held_out_windows} held-out windows{', before → after' if verdict.causes else ''}"
-    print_errors(console, title, summary.tables)
-    console.print(f"held-out chi² {verdict.before.chi2:.3g} → {verdict.after.chi2:.3g} (1 = noise floor)")
+    changed = [table for table in summary.tables if table.changed] or list(summary.tables)
+    print_errors(console, title, changed)
+    if same := [table.quantity for table in summary.tables if table not in changed]:
+        console.print(f"unchanged: {', '.join(same)}", style="dim")
+    before, after = format_digits(verdict.before.chi2), format_digits(verdict.after.chi2)
+    console.print(f"held-out chi² {before} → {after} (1 = noise floor)")
     console.print(HORIZON, style="dim")
     console.print()
     for name in files:

@@ -25,6 +25,11 @@ def format_value(estimate: Estimate, signed: bool = False) -> str:
     return f"{value:{plus}.{digits}f} ± {std:.{digits}f} {unit}".rstrip()
 
 
+def format_digits(value: float) -> str:
+    """Three digits without an exponent for large numbers: 575,000."""
+    return f"{float(f'{value:.3g}'):,.0f}" if 1000.0 <= abs(value) < 1e12 else f"{value:.3g}"
+
+
 def format_plain(value: float, estimate: Estimate) -> str:
     """Another value of a parameter, written in the unit that its estimate is written in."""
     unit, factor = choose_unit(estimate.unit, max(abs(estimate.value), abs(estimate.nominal)))

@@ -89,7 +89,7 @@ def test_made_up_damping_is_denied(tmp_path: Path) -> None:
     damping, friction = seen["slide.viscous"], seen["slide.coulomb"]
     assert damping.contradicts(CRITERIA)
     assert abs(damping.share) < 0.2
-    assert "times the force that prediction makes of it (1 would agree)" in damping.tell(CRITERIA)
+    assert "times the force of the fit (1 would agree)" in damping.tell(CRITERIA)
     assert "slide.viscous is doubted: on joint slide" in damping.tell(CRITERIA)
     assert not friction.contradicts(CRITERIA)
 

@@ -74,7 +74,7 @@ def test_where_nothing_moves_nothing_of_motion_is_seen(tmp_path: Path) -> None:
         assert suspect.low <= 0.0 <= suspect.high
     reasons = {s.effect: s.reason for s in unseen}
     assert reasons["motor.saturation"] == "no motion in these logs comes near a limit"
-    assert reasons["motor.gain"].startswith("gain of 0.05 would stand out by 0.")
+    assert reasons["motor.gain"].startswith("gain of 0.05 would show by only 0.")
 
 
 def test_what_excludes_the_twin_is_not_cleared(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Experiment, Mis
 from vpptwin.effects import CATALOGUE, Effect
 from vpptwin.report.error_table import tabulate_errors
 from vpptwin.report.summary import describe_cause, describe_certainty, describe_unexplained, headline, summarise
-from vpptwin.report.words import format_value
+from vpptwin.report.words import format_digits, format_value
 
 SILENT = NoiseFloor({}, {})
 NOISE = NoiseFloor({"position_rmse_m": 0.000566, "angle_rmse_rad": 0.003, "θ rate": 0.0063}, {"θ rate": "rad/s"})
@@ -113,12 +113,12 @@ def test_an_error_far_above_noise_is_never_called_explained(chi2: float) -> None
     verdict = replace(VERDICT, causes=[], after=replace(AFTER, chi2=chi2))
     told = headline(verdict, {}), describe_unexplained(verdict), describe_unexplained(replace(verdict, causes=[SURE]))
     for sentence in told:
-        assert f"held-out chi² {chi2:.3g}, noise floor 1" in sentence
+        assert f"held-out chi² {format_digits(chi2)}, noise floor 1" in sentence
         assert "no effect is needed" not in sentence
         assert not sentence.startswith("Nothing")
     odd = replace(verdict, unexplained=Unexplained(True, 0.5, "x", []))
     assert describe_unexplained(odd).endswith(
-        f"The error is still {chi2**0.5:.3g} times the sensor noise (held-out chi² {chi2:.3g}, noise floor 1)."
+        f"still {chi2**0.5:.3g} times the sensor noise (held-out chi² {format_digits(chi2)}, noise floor 1)."
     )
 
 
@@ -329,6 +329,17 @@ def test_weak_causes_are_folded_away() -> None:
     assert summary.others == []
     assert summary.weak == [describe_cause(faint, {})]
     assert [line.split(":")[0] for line in summary.certainty] == ["rail_x.coulomb"]
+
+
+def test_large_numbers_have_no_exponent() -> None:
+    """Three digits all the same."""
+    assert [format_digits(value) for value in (575123.0, 1234.0, 999.4, 0.01234)] == [
+        "575,000",
+        "1,230",
+        "999",
+        "0.0123",
+    ]
+    assert format_digits(float("inf")) == "inf"
 
 
 def test_no_value_is_a_negative_zero() -> None:

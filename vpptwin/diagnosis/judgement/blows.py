@@ -108,7 +108,7 @@ def judge_blows(
         spec: the twin.
         measurements: of the flights.
         known: parameters of the other causes.
-        stage: told what is being done.
+        stage: called with the present step, in words.
         progress: as for `diagnose`, like the next two.
         criteria: thresholds.
         make_twin: makes simulations.

@@ -52,7 +52,7 @@ def conclude(
 
     Args:
         spec: the twin.
-        flights: that it was diagnosed on.
+        flights: logs that were diagnosed.
         measurements: what they tell.
         search: with the fitted windows.
         held_out: those that judge.

@@ -1,4 +1,4 @@
-"""From flights to a verdict: search for causes on some flights, judge them on others."""
+"""From logs to a verdict: search for causes on some data, judge them on held-out data."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Diagnosis:
         held_out: the judging windows, with the twin as it was judged: what of it follows its log too.
         leftover_plot: the missing force that remains, against what it follows; None if nothing remains.
         preflight: what each log could show, in the order of the logs.
-        measurements: what each log says, likewise, for whatever else is told of it.
+        measurements: of each log.
     """
 
     verdict: Verdict
@@ -90,9 +90,9 @@ def diagnose(
 
     Args:
         spec: the twin.
-        flights: logs; with several, whole flights are held out.
-        stage: told what is being done.
-        progress: told how many inner steps were simulated.
+        flights: logs; with several, whole logs may be held out.
+        stage: called with the present step, in words.
+        progress: called with the number of inner steps that were simulated.
         criteria: thresholds that decide.
         causes: effects to fit and judge whatever the evidence, as if they were known; None looks for them.
         make_twin: makes the simulations, as `Bench` says.
@@ -148,7 +148,7 @@ def follow(material: Material, selection: Selection, deadline: Deadline) -> Sele
 
 
 def add_blows(found: Diagnosis, blows: Findings) -> Diagnosis:
-    """A diagnosis with what blows told, errors before as they are without that."""
+    """A diagnosis with what impacts showed, errors before as they are without that."""
     values, held_out, verdict = found.values | blows.values, found.held_out, found.verdict
     if blows.causes:
         after, change = held_out.score(values), held_out.errors.change(blows.nominal, values)
@@ -163,7 +163,7 @@ def return_memory() -> None:
 
 
 def keep_better(material: Material, selection: Selection) -> Selection:
-    """The selection without what makes its twin predict held-out log worse than the one given, the weakest first.
+    """The selection without causes that make its twin predict held-out data worse, the weakest first.
 
     Whatever the search believed: this is what is written.
     """
@@ -177,7 +177,7 @@ def keep_better(material: Material, selection: Selection) -> Selection:
 
 @dataclass(frozen=True)
 class Material:
-    """What a diagnosis works on: the flights' measurements, windows that are fitted, windows that judge, and blows."""
+    """What a diagnosis works on: measurements, windows that are fitted, held-out windows, and impacts."""
 
     read: list[Measurements]  # as the logs have them
     measurements: list[Measurements]  # with blows marked
@@ -192,7 +192,7 @@ def prepare(
     criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin, contacts: bool = False, only: Collection[str] = (),
     deadline: Deadline | None = None,
 ) -> Material:  # fmt: skip
-    """Cut flights into windows, choose those that judge, and linearise the twin about the others.
+    """Cut logs into windows, choose held-out ones, and linearise the twin about the others.
 
     Where blows are not left out and `contacts` are looked for, the twin has what blows told of them.
     """
@@ -297,7 +297,7 @@ def judge(
 def propose(
     robot: Robot, spec: TwinSpec, hypotheses: Sequence[Hypothesis], unknowns: Sequence[Unknown], criteria: Criteria
 ) -> Experiment | None:
-    """The motion that would tell hypotheses apart; None where nobody knows how the robot is made to move."""
+    """The motion that would separate the hypotheses; None where the robot has no library of motions."""
     return None
 
 
@@ -327,7 +327,7 @@ def open_held_out(
 
 
 def check_moving(measurements: Sequence[Measurements]) -> None:
-    """Refuse flights on which nothing ever moves."""
+    """Refuse logs in which nothing moves."""
     for flight in measurements:
         spread = max(float(np.ptp(series.value)) / series.std for series in flight.positions.values())
         if spread < 20.0:

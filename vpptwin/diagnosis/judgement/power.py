@@ -75,8 +75,8 @@ def weigh_limit(search: Search, fit: Fit, limit: Unknown) -> Cleared | Unseen:
 
 def describe_blindness(effect: Effect, parameter: Parameter, sigma: float, search: Search) -> str:
     """Why an effect could not have been seen."""
-    size = f"{parameter.size:g} {parameter.unit}".strip()
-    text = f"{parameter.name} of {size} would stand out by {sigma:.1f} sigma only"
+    size = f"{parameter.size:.2g} {parameter.unit}".strip()
+    text = f"{parameter.name} of {size} would show by only {sigma:.1f} sigma"
     if effect.fades_along:
         place = search.bench.spec.model.joint(effect.fades_along).qposadr[0]
         text += f": never below {float(search.bench.windows.pose[:, place].min()):.2f} m"

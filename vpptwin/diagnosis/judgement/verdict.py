@@ -54,8 +54,8 @@ class Cause:
 class Unexplained:
     """What is left: whether it is more than noise and gusts, its share of what was missing, where, and what it follows.
 
-    `sigma` is how far what it follows foretells it beyond chance, in standard deviations; `force`, on rigs whose scales
-    a log told, how strong a random force would have to be that makes the held-out error, as a share of what drives
+    `sigma` is how far it is predicted by what it follows, in standard deviations; `force`, on rigs whose scales come
+    from a log, is the random force that would make the held-out error, as a share of what drives
     the joint.
     """
 
@@ -93,7 +93,7 @@ class Misfit:
 
 @dataclass(frozen=True)
 class Cleared:
-    """A suspect that these flights would have shown: with 90 % probability its parameter lies between low and high."""
+    """A candidate that is ruled out: with 90 % probability its parameter lies between low and high."""
 
     effect: str
     parameter: str
@@ -104,7 +104,7 @@ class Cleared:
 
 @dataclass(frozen=True)
 class Unseen:
-    """A suspect that these flights could not have shown, and why."""
+    """A candidate that is not identifiable from these data, and why."""
 
     effect: str
     reason: str

@@ -14,7 +14,7 @@ from vpptwin.report.html.pictures import Pictures
 from vpptwin.report.html.ranking import Suspect
 from vpptwin.report.provenance import Provenance
 from vpptwin.report.summary import HORIZON, Summary
-from vpptwin.report.words import format_plain, format_value, name_effect, name_effects
+from vpptwin.report.words import format_digits, format_plain, format_value, name_effect, name_effects
 
 FIRST_SUSPECTS = 10
 """Suspects of the ranking that are not folded away."""
@@ -43,6 +43,7 @@ def render_report(
         verdict=verdict, summary=summary, steps=steps, files=files, ranking=ranking, first_suspects=FIRST_SUSPECTS,
         pictures=pictures, name=partial(name_effect, meanings=meanings),
         preflight=preflight, origin=origin, format_value=format_value, format_plain=format_plain,
+        format_digits=format_digits,
         horizon=HORIZON,
     )  # fmt: skip
 

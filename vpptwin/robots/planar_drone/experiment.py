@@ -1,4 +1,4 @@
-"""The next experiment: which manoeuvre of the library would tell apart what the flights so far could not."""
+"""The next experiment: which manoeuvre of the library separates the rivals that the logs do not."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def propose_experiment(
 
     Args:
         spec: the twin that was diagnosed.
-        hypotheses: the named one first, then its rivals, with the values fitted to the flights so far.
+        hypotheses: the named one first, then its rivals, with the values fitted to the logs so far.
         unknowns: parameters that may be wrong, of all effects.
         criteria: those of the diagnosis.
 

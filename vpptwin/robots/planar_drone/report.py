@@ -31,5 +31,5 @@ def advise_drone(robot: PlanarDrone) -> str:
 
 def suggest_flip(robot: PlanarDrone, twin: str, extended: bool) -> list[NextStep]:
     """The flip."""
-    told = "Train a policy on it, for a rig that is as the logs say." if extended else "Train a policy on it as it is."
+    told = f"Train a policy on the {'extended twin' if extended else 'twin'}."
     return [NextStep(told, shlex.join(["vpptwin", "train", "task=flip", f"twin={twin}", "out=runs/flip_extended"]))]

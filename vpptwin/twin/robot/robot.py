@@ -80,7 +80,7 @@ class Disturbance:
         std: of a force pulse on every degree of freedom, (nv,) N, N m.
         memory: time over which pulses stay alike [s]; 0 for pulses that have nothing in common.
         known: how logs without any effect look is known, so that evidence can be trusted. Elsewhere it is an
-            assumption, and errors on held-out log have the last word.
+            assumption, and errors on held-out data have the last word.
         most: strength at most, in multiples of `std`.
     """
 
