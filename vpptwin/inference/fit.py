@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from vpptwin.inference.model import Nuisance, Posterior, Prior, ScalePrior, Scales, Windows, infer
+from vpptwin.inference.path import foretell, smooth, strain
 
 Key = tuple[str, str]
 """Effect id and parameter name."""
@@ -24,6 +25,10 @@ AFFORDABLE = 400_000
 """Values up to which trials are simulated anew beside every fit; beyond, they are as beside nothing."""
 SETTLED = 0.15
 """Gain of log evidence under which a fit has settled."""
+BRIEF = 2
+"""Steps of a first, brief fit."""
+ROUGH, SHORT = 2.0, 0.3
+"""Where a path is followed: gain under which a fit has settled, and the shortest stride; what sticks makes it rough."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,7 @@ class Unknown:
         low, high: bounds.
         step: difference by which a derivative is taken from a value.
         tolerance: standard deviation where its effect is not suspected: what a well-built rig shows unremarked.
+        slight: distance from the mean up to which it is no finding.
     """
 
     key: Key
@@ -46,6 +52,7 @@ class Unknown:
     high: float
     step: Callable[[float], float]
     tolerance: float = 0.0
+    slight: float = 0.0
 
 
 class Simulator(Protocol):
@@ -53,11 +60,17 @@ class Simulator(Protocol):
 
     scale_prior: ScalePrior
 
-    def residuals(self, points: Sequence[Point], about: Point) -> np.ndarray:
-        """Measured less simulated at every point, (V, K, M), finite, from starting states as seen `about` one."""
+    def residuals(self, points: Sequence[Point], about: Point, path: np.ndarray | None = None) -> np.ndarray:
+        """Measured less simulated at every point, (V, K, M), finite, from starting states as seen `about` one.
 
-    def respond(self, point: Point) -> Nuisance:
-        """What starting states and force pulses do about a point, in units of their priors."""
+        Along a path of starting states and force pulses in units of their priors, (K, N), if there is one.
+        """
+
+    def respond(self, point: Point, path: np.ndarray | None = None) -> Nuisance:
+        """What starting states and force pulses do about a point, and a path, in units of their priors."""
+
+    def follows(self, effects: frozenset[str]) -> bool:
+        """Whether a hypothesis is simulated about its likeliest path."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +98,7 @@ class Fit:
         posterior: of those, in the order of `values`, and then of what is within its tolerance.
         windows: compressed about `values`.
         prior: of the parameters.
+        path: about which all was simulated, (K, N); None for none.
     """
 
     effects: frozenset[str]
@@ -92,6 +106,7 @@ class Fit:
     posterior: Posterior
     windows: Windows
     prior: Prior
+    path: np.ndarray | None = None
 
     @property
     def evidence(self) -> float:
@@ -129,16 +144,22 @@ class Fitter:
         """The parameters of some effects, in the order of their keys."""
         return [u for u in self.unknowns if u.key[0] in effects]
 
-    def linearise(self, values: Point, unknowns: Sequence[Unknown]) -> Windows:
+    def is_slight(self, fit: Fit, effect: str) -> bool:
+        """Whether an effect stays so near to nothing that it would be no finding."""
+        return all(abs(fit.values[u.key] - u.mean) <= u.slight for u in self.of(frozenset({effect})))
+
+    def linearise(
+        self, values: Point, unknowns: Sequence[Unknown], nuisance: Nuisance, path: np.ndarray | None = None
+    ) -> Windows:
         """Windows about a point: derivatives by some parameters, and those of what is within its tolerance."""
-        residual, slopes, at = differentiate(self.simulator, values, unknowns)
+        residual, slopes, at = differentiate(self.simulator, values, unknowns, path)
         loose = self.loose({u.key[0] for u in unknowns})
         if new := [i for i in loose if i not in self._nominal]:
             found = differentiate(self.simulator, {}, [self.unknowns[i] for i in new])[1]
             self._nominal |= dict(zip(new, found))
         slopes = np.concatenate([slopes, *(self._nominal[i][None] for i in loose)])
         at = np.concatenate([at, [self.unknowns[i].mean for i in loose]])
-        return self.simulator.respond(values).compress(slopes, residual, at)
+        return nuisance.compress(slopes, nuisance.restore(residual, path), at)
 
     @cached_property
     def nominal(self) -> tuple[np.ndarray, np.ndarray]:
@@ -192,62 +213,100 @@ class Fitter:
 
     def screen(self, fit: Fit) -> np.ndarray:
         """Inner products of parameters, trials and what a fit misses, (P + T + 1, P + T + 1), under its noise."""
-        scales, values = fit.posterior.scales, fit.values
-        residual, slopes, _ = differentiate(self.scout, values, self.unknowns)
+        scales, values, nuisance, path = fit.posterior.scales, fit.values, self.scout.respond(fit.values), None
+        if fit.path is not None:
+            path = smooth(self.scout, values, [np.zeros((len(nuisance.gram), fit.path.shape[1]))], nuisance, scales)
+            nuisance = self.scout.respond(values, path)
+            path = smooth(self.scout, values, [path], nuisance, scales)
+        residual, slopes, _ = differentiate(self.scout, values, self.unknowns, path)
         changed = self.nominal[1]
         if values and len(self.trials) * residual.size < AFFORDABLE:
             points = [dict(values), *({**values, **t.values} for t in self.trials)]
-            residuals = self.scout.residuals(points, values)
+            residuals = self.scout.residuals(points, values, path)
             changed = residuals[0] - residuals[1:]
-        every = np.concatenate([slopes, changed])
-        windows = self.scout.respond(values).merge(scales).compress(every, residual, np.zeros(len(every)))
+        every, residual = np.concatenate([slopes, changed]), nuisance.restore(residual, path)
+        windows = nuisance.merge(scales).compress(every, residual, np.zeros(len(every)))
         return self._share * windows.eliminate(Scales(np.zeros(1), scales.process)).information
 
-    def fit(self, effects: frozenset[str], start: Point, scales: Scales | None = None, steps: int = STEPS) -> Fit:
-        """Most probable parameters of some effects, from a start, after so many steps at most."""
-        unknowns = self.of(effects)
+    def fit(
+        self, effects: frozenset[str], start: Point, scales: Scales | None = None, steps: int = STEPS,
+        beside: Fit | None = None,
+    ) -> Fit:  # fmt: skip
+        """Most probable parameters of some effects, from a start, after so many steps at most.
+
+        Args:
+            effects: that are free.
+            start: where their parameters begin.
+            scales: where those of the noises do.
+            steps: of Gauss-Newton.
+            beside: a fit whose path serves to begin with, if one is followed, and in a brief fit its responses.
+        """
+        unknowns, simulator = self.of(effects), self.simulator
         prior = self.prior_of(unknowns)
         values = {u.key: float(start.get(u.key, u.mean)) for u in unknowns}
-        scales = scales or self.simulator.scale_prior.start
-        key = effects, frozenset(values.items()), steps, scales.sensor.tobytes(), scales.process.tobytes()
+        scales = scales or simulator.scale_prior.start
+        follows = simulator.follows(effects)
+        path, led = (beside.path, beside.values) if beside and follows else (None, values)
+        told = None if path is None else (path.tobytes(), frozenset(led.items()))
+        key = effects, frozenset(values.items()), steps, scales.sensor.tobytes(), scales.process.tobytes(), told
         if key in self._fits:
             return self._fits[key]
-        scale_prior = self.simulator.scale_prior
+        lent = steps <= BRIEF and path is not None
+        nuisance = simulator.respond(values if path is None else led, path)
+        if follows and path is None:
+            path = np.zeros((len(nuisance.gram), nuisance.columns.shape[2]))
+        settled, shortest = (SETTLED, SHORTEST) if path is None else (ROUGH, SHORT)
         best, stride, ahead, taken = None, 1.0, np.empty(0), 0
-        while taken < (steps if unknowns else 1):  # a stride that is too long is no step
-            windows = self.linearise(values, unknowns)
-            here = infer(windows, prior, scale_prior, scales, np.arange(len(windows.at)) < len(unknowns))
-            there = infer(windows, prior, scale_prior, here.scales) if unknowns else here
-            penalised = Posterior(here.mean, there.precision, here.deviance, there.penalty, here.scales)
-            fit = Fit(effects, values, penalised, windows, prior)
+        while taken < (steps if unknowns or path is not None else 1):  # a stride that is too long is no step
+            if path is not None:
+                before = path if best is None or best.path is None else best.path
+                path = smooth(simulator, values, [path, before], nuisance, scales)
+            known = nuisance if lent else simulator.respond(values, path)
+            fit, there = self._look(values, effects, known, path, scales, prior)
             gain = np.inf if best is None else fit.evidence - best.evidence
             if gain > 0.0:
-                best, ahead, stride, scales = fit, there.mean, min(1.0, 2.0 * stride), there.scales
+                best, ahead, stride, scales, nuisance = fit, there.mean, min(1.0, 2.0 * stride), there.scales, known
                 taken += 1
-                if gain < SETTLED:
+                if gain < settled:
                     break
             else:
                 stride *= 0.4
-                if stride < SHORTEST:
+                if stride < shortest:
                     break
-            at = best.windows.at if best else windows.at
-            moved = np.clip(at + stride * (ahead - at), prior.low, prior.high)[: len(unknowns)]
-            if np.allclose(moved, windows.at[: len(unknowns)], rtol=1e-9, atol=0.0):
+            assert best is not None
+            at = best.windows.at + stride * (ahead - best.windows.at)
+            at[len(unknowns) :] = best.windows.at[len(unknowns) :]
+            moved = np.clip(at, prior.low, prior.high)
+            if path is None and np.allclose(moved, fit.windows.at, rtol=1e-9, atol=0.0):
                 break
             values = {u.key: float(v) for u, v in zip(unknowns, moved)}
+            path = None if path is None else foretell(best.windows, moved, scales)
         assert best is not None
         self._fits[key] = best
         return best
 
+    def _look(
+        self, values: dict[Key, float], effects: frozenset[str], nuisance: Nuisance, path: np.ndarray | None,
+        scales: Scales, prior: Prior,
+    ) -> tuple[Fit, Posterior]:  # fmt: skip
+        """A hypothesis at given parameters, and the posterior of these by its linear model."""
+        unknowns, scale_prior = self.of(effects), self.simulator.scale_prior
+        windows = self.linearise(values, unknowns, nuisance, path)
+        here = infer(windows, prior, scale_prior, scales, np.arange(len(windows.at)) < len(unknowns))
+        there = infer(windows, prior, scale_prior, here.scales) if unknowns else here
+        deviance = here.deviance + (0.0 if path is None else strain(windows, path, here.scales))
+        penalised = Posterior(here.mean, there.precision, deviance, there.penalty, here.scales)
+        return Fit(effects, values, penalised, windows, prior, path), there
+
 
 def differentiate(
-    simulator: Simulator, values: Point, unknowns: Sequence[Unknown]
+    simulator: Simulator, values: Point, unknowns: Sequence[Unknown], path: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Residual (K, M) at a point, derivatives of the simulation by parameters, (P, K, M), and where, (P,)."""
     at = np.array([values.get(u.key, u.mean) for u in unknowns])
     moved = np.array([np.clip(v + u.step(v), u.low, u.high) for u, v in zip(unknowns, at)])
     points = [dict(values), *({**values, u.key: float(v)} for u, v in zip(unknowns, moved))]
-    residuals, steps = simulator.residuals(points, values), moved - at
+    residuals, steps = simulator.residuals(points, values, path), moved - at
     return residuals[0], (residuals[0] - residuals[1:]) / np.where(steps == 0.0, 1.0, steps)[:, None, None], at
 
 

@@ -134,6 +134,18 @@ class Nuisance:
         layout = self.layout._replace(noise=self.layout.noise[rows])
         return Nuisance(self.columns[rows], layout, self.states, self.gram[rows], self.counts[rows])
 
+    def size(self, scales: Scales) -> np.ndarray:
+        """Standard deviations of starting states and pulses, in units of their priors, (N,)."""
+        return np.concatenate([np.ones(self.states), np.exp(scales.process)[self.layout.process]])
+
+    def restore(self, missed: np.ndarray, path: np.ndarray | None) -> np.ndarray:
+        """What would be missed about no path, to first order, of what is about one, (K, M) with paths (K, N)."""
+        if path is None:
+            return missed
+        moved = (self.columns @ path[..., None])[..., 0]
+        seen = np.isfinite(self.layout.noise)
+        return missed + moved * np.where(seen, self.layout.noise, 0.0)
+
     def merge(self, scales: Scales) -> Nuisance:
         """With all channels in one, whose noise is that of scales."""
         factor = np.ones(self.columns.shape[1])
@@ -194,7 +206,7 @@ class Windows:
     def eliminate(self, scales: Scales) -> Eliminated:
         """Integrate the starting states and force pulses out."""
         nuisance, weight, free = self.nuisance, np.exp(-2.0 * scales.sensor), len(self.at) + 1
-        size = np.concatenate([np.ones(nuisance.states), np.exp(scales.process)[nuisance.layout.process]])
+        size = nuisance.size(scales)
         noise = (weight @ nuisance.gram).reshape(-1, len(size), len(size))
         across = (weight @ self.across).reshape(-1, len(size), free) * size[:, None]
         inner = noise * size * size[:, None] + np.eye(len(size))

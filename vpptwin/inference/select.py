@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vpptwin.inference.fit import Fit, Fitter, Point
+from vpptwin.inference.fit import BRIEF, Fit, Fitter, Point
 from vpptwin.inference.model import Prior, Scales, find_mode
 
 FEW, PROMISING, IN_PLACE = 14, 7, 5
 """Candidates that are fitted by themselves, beside others, and in the place of one, at most."""
 MOST_TIMES = 10.0
 """Times that a trial may be as strong."""
-BRIEF, REACH = 2, 12.0
-"""Steps of a first, brief fit, and log evidence by which one may be behind the best to go on."""
+REACH = 12.0
+"""Log evidence by which a brief fit may be behind the best to go on."""
 LEAST = 0.5
 """Half of a square that an effect must take away to be fitted at all."""
 STARTS = 2
@@ -105,10 +105,12 @@ class Searcher:
                 break
         return comparison
 
-    def try_set(self, effects: frozenset[str], start: Point, scales: Scales | None = None) -> Fit:
+    def try_set(
+        self, effects: frozenset[str], start: Point, scales: Scales | None = None, beside: Fit | None = None
+    ) -> Fit:
         """Fit a set and keep it."""
         self.told(effects)
-        fit = self.fitter.fit(effects, start, scales)
+        fit = self.fitter.fit(effects, start, scales, beside=beside)
         self.comparison.add(fit)
         return self.comparison.fits[effects]
 
@@ -119,14 +121,23 @@ class Searcher:
         scales, brief = fit.posterior.scales, []
         for effect, starts in self.propose(fit, barred):
             self.told(effects | {effect})
-            fits = [self.fitter.fit(effects | {effect}, start, scales, BRIEF) for start in starts]
-            brief.append(max(fits, key=lambda each: each.evidence))
+            fits = [self.fitter.fit(effects | {effect}, start, scales, BRIEF, fit) for start in starts]
+            best = max(fits, key=lambda each: each.evidence)
+            if best.path is None or not self.fitter.is_slight(best, effect):
+                brief.append(best)
         top = max([each.evidence for each in brief], default=0.0)
         for each in brief:
             if each.evidence > max(top - REACH * self.comparison.temper, fit.evidence - REACH):
-                self.try_set(each.effects, each.values, each.posterior.scales)
+                found = self.try_set(each.effects, each.values, each.posterior.scales, each)
+                if found.path is not None and self.comparison.best is found:
+                    self.lessen(found, effects)  # where a path is followed both must be as likely as can be
             else:
                 self.comparison.add(each)
+
+    def lessen(self, fit: Fit, rest: frozenset[str]) -> None:
+        """Fit some effects of a set, from where all of them are."""
+        start = {key: value for key, value in fit.values.items() if key[0] in rest}
+        self.try_set(rest, start, fit.posterior.scales, fit)
 
     def reduce(self, effects: frozenset[str]) -> None:
         """Fit a set without each of its effects."""
@@ -134,7 +145,7 @@ class Searcher:
         for effect in sorted(effects):
             rest = effects - {effect}
             if rest not in self.comparison.fits and self.is_whole(rest):
-                self.try_set(rest, {k: v for k, v in fit.values.items() if k[0] in rest}, fit.posterior.scales)
+                self.lessen(fit, rest)
 
     def exchange(self, effects: frozenset[str]) -> None:
         """Fit others in the place of each effect of a set."""

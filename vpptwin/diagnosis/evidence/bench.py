@@ -105,11 +105,12 @@ class Bench(Runs):
         for number, each in enumerate(fitted):
             rows, unseen = np.flatnonzero(fold == number), {key: each.get(key, value) for key, value in values.items()}
             if len(rows):
-                found[rows] = self._part(rows.tobytes()).residual(unseen)
+                track = None if self.track is None else self.track.take(rows)
+                found[rows] = self._part(rows.tobytes()).about(track).residual(unseen)
         return found
 
     def _part(self, rows: bytes) -> Bench:
-        """Some of the windows, of which nothing is moved along a track."""
+        """Some of the windows, about no track."""
         if rows not in self._parts:
             some = np.frombuffer(rows, int)
             given = self.flights, self.causal, self._progress, self.criteria, self.make_twin

@@ -70,6 +70,10 @@ class Track:
         """The starts of some degrees of freedom, (nv,), and the pulses of some, (nv,)."""
         return Track(self.pose * starts, self.velocity * starts, self.push * pushes)
 
+    def take(self, rows: np.ndarray) -> Track:
+        """Of some of the windows."""
+        return Track(self.pose[rows], self.velocity[rows], self.push[rows])
+
 
 def resist_turning(twin: Twin) -> np.ndarray:
     """How hard every simulation's bodies are to turn, as a share of nominal, (N, nv); 1 for what does not turn.

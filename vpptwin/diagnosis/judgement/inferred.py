@@ -73,7 +73,7 @@ class Inferred:
         rest = fit.effects - {effect}
         if rest not in self.comparison.fits:
             start = {key: value for key, value in fit.values.items() if key[0] != effect}
-            self.comparison.add(self.fitter.fit(rest, start, fit.posterior.scales))
+            self.comparison.add(self.fitter.fit(rest, start, fit.posterior.scales, beside=fit))
         return self.comparison.fits[rest]
 
     def drop_weakest(self, among: Collection[str]) -> Inferred:
@@ -141,7 +141,9 @@ def rescale(measurements: Sequence[Measurements], bench: Bench, scales: Scales) 
     factors = {(c.kind, c.axis): float(np.exp(s)) for c, s in zip(bench.channels, scales.sensor)}
 
     def scaled(series: Mapping[int, Series], kind: str) -> dict[int, Series]:
-        return {dof: replace(each, std=each.std * factors.get((kind, dof), 1.0)) for dof, each in series.items()}
+        # Beside noise that is known a roughness is assumed, which stays.
+        known = {dof: 1.0 if each.white else factors.get((kind, dof), 1.0) for dof, each in series.items()}
+        return {dof: replace(each, std=each.std * known[dof]) for dof, each in series.items()}
 
     return [
         replace(m, positions=scaled(m.positions, "position"), velocities=scaled(m.velocities, "velocity"))

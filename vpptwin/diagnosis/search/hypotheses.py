@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
@@ -28,7 +28,7 @@ COLUMNS = 1.5
 
 def compare_hypotheses(
     bench: Bench, suspects: Sequence[Suspect], scout: Bench, deadline: Deadline | None = None,
-    told: Callable[[frozenset[str]], None] = lambda effects: None,
+    told: Callable[[frozenset[str]], None] = lambda effects: None, along: Collection[str] = (),
 ) -> tuple[Comparison, Fitter, bool]:  # fmt: skip
     """Sets of effects fitted to a bench's windows with their posterior probabilities, and whether that was cut short.
 
@@ -38,14 +38,16 @@ def compare_hypotheses(
         scout: some of the windows, or all of them: on these candidates are screened.
         deadline: when to stop with what was found so far; None for never.
         told: called before every fit.
+        along: effects of which hypotheses are simulated along their likeliest path, see `BenchSimulator`.
 
     Raises:
         Stopped: before every candidate has been tried once.
     """
     unknowns = {suspect.key: name_unknown(suspect) for suspect in suspects}
     trials = [name_trial(start, unknowns) for start in list_trials(tuple(suspects), scout)] + scan_friction(suspects)
-    whole = BenchSimulator(bench)
-    fitter = Fitter(whole, list(unknowns.values()), trials, whole if scout is bench else BenchSimulator(scout))
+    whole = BenchSimulator(bench, along)
+    few = whole if scout is bench else BenchSimulator(scout, along)
+    fitter = Fitter(whole, list(unknowns.values()), trials, few)
     effects = {suspect.effect.id: suspect.effect for suspect in suspects}
     usual = -float(np.log(max(len(effects), 2)))
     odds = {name: usual + (COLUMNS if name in bench.of_sensors or ZERO in effect.writes else 0.0)

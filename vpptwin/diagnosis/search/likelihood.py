@@ -194,6 +194,13 @@ def gust_std(bench: Bench) -> np.ndarray:
     return bench.criteria.gust * bench.spec.robot.disturbance.std
 
 
+def start_std(bench: Bench) -> np.ndarray:
+    """Standard deviation of the state that a window starts from, (2 nv,)."""
+    rotary, criteria = bench.spec.robot.rotary, bench.criteria
+    pose = np.where(rotary, criteria.start_angle, criteria.start_pose)
+    return np.concatenate([pose, np.where(rotary, criteria.start_rate, criteria.start_velocity)])
+
+
 def likeness_of_gusts(bench: Bench, time: np.ndarray) -> np.ndarray:
     """Correlation between the gusts of segments at times (..., n), (..., n, n).
 
@@ -335,7 +342,7 @@ def measure_response(
     Pulses are `gust` times as strong as assumed, (nv,): what sticks may yield to a stronger one.
     """
     spec, nv = bench.spec, bench.spec.model.nv
-    rotary, assumed, criteria = spec.robot.rotary, gust_std(bench), bench.criteria
+    rotary, assumed = spec.robot.rotary, gust_std(bench)
     still = Variation(values)
     variations = [still]
     sizes = []
@@ -357,8 +364,7 @@ def measure_response(
     predicted = bench.predict(variations, values)
     slopes = bench.bound(predicted[1:] - predicted[0]) / np.array(sizes)[:, None, None]
     state, push = slopes[: 2 * nv], slopes[2 * nv :]
-    pose = np.where(rotary, criteria.start_angle, criteria.start_pose)
-    prior = np.concatenate([pose, np.where(rotary, criteria.start_rate, criteria.start_velocity)])
+    prior = start_std(bench)
     freedom = int(bench.valid.sum()) - 2 * bench.windows.free_dofs * len(bench.windows)
     state, push = np.moveaxis(state, 0, -1), np.moveaxis(push, 0, -1)
     return Response(state, prior, push, bench.std, freedom, gust_std(bench))

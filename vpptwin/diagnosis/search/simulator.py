@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Collection, Hashable, Sequence
+from functools import cached_property
 
 import numpy as np
 
+from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import FAR, Bench
-from vpptwin.diagnosis.evidence.runs import Variation
+from vpptwin.diagnosis.evidence.runs import Track, Variation, keep_last
 from vpptwin.diagnosis.search.likelihood import (
     Response,
+    gust_std,
     likeness_of_gusts,
     measure_response,
     middles_of_segments,
+    start_std,
 )
 from vpptwin.diagnosis.search.suspects import Unknown as Suspect
 from vpptwin.effects import find_effect
@@ -33,11 +37,17 @@ CALM, VARIED = 0.2, 2.0
 
 
 class BenchSimulator:
-    """A bench as `inference` asks for it."""
+    """A bench as `inference` asks for it.
 
-    def __init__(self, bench: Bench) -> None:
-        self.bench = bench
-        self._responses: dict[Hashable, tuple[Response, Nuisance]] = {}
+    Args:
+        bench: the windows.
+        along: effects of which hypotheses are simulated along their likeliest path, not about none: those that stick.
+    """
+
+    def __init__(self, bench: Bench, along: Collection[str] = ()) -> None:
+        self.bench, self.along = bench, frozenset(along)
+        self._responses: dict[Hashable, Nuisance] = {}
+        self._tracks: dict[bytes, Track] = {}
         nv = bench.spec.model.nv
         noise = np.where(bench.valid, bench.std, np.inf)
         self.layout = Layout(noise, bench.columns, np.tile(np.arange(nv), bench.segments))
@@ -48,35 +58,50 @@ class BenchSimulator:
             np.full(nv, VARIED),
         )
 
-    def residuals(self, points: Sequence[Point], about: Point) -> np.ndarray:
+    def residuals(self, points: Sequence[Point], about: Point, path: np.ndarray | None = None) -> np.ndarray:
         """Measured less simulated, (V, K, M)."""
-        predicted = self.bench.predict([Variation(dict(point)) for point in points], dict(about))
-        missed = np.clip(self.bench.miss(predicted), -FARTHEST * self.bench.std, FARTHEST * self.bench.std)
-        return self._response(about)[0].restore(missed, self.bench.track)
+        bench = self.bench if path is None else self.bench.about(self._track(path))
+        predicted = bench.predict([Variation(dict(point)) for point in points], dict(about))
+        return np.clip(bench.miss(predicted), -FARTHEST * bench.std, FARTHEST * bench.std)
 
-    def respond(self, point: Point) -> Nuisance:
-        """What starting states and force pulses do, in units of their priors."""
-        return self._response(point)[1]
+    def respond(self, point: Point, path: np.ndarray | None = None) -> Nuisance:
+        """What starting states and force pulses do, in units of their priors.
 
-    def _response(self, point: Point) -> tuple[Response, Nuisance]:
-        """The response at a point, measured once for every point of a coarse grid."""
-        loose = self.loosen(point)
-        key = frozenset(loose.items())
+        Measured about a path as it is; about none once for every point of a coarse grid, what sticks left out.
+        """
+        loose = self.loosen(point) if path is None else dict(point)
+        key = frozenset(loose.items()), None if path is None else path.tobytes()
         if key not in self._responses:
-            if len(self._responses) >= KEPT:
-                del self._responses[next(iter(self._responses))]
-            response = measure_response(self.bench, loose)
-            self._responses[key] = response, self._name_columns(response)
+            bench = self.bench if path is None else self.bench.about(self._track(path))
+            found = self._name_columns(measure_response(bench, loose))
+            keep_last(self._responses, key, found, KEPT)
         return self._responses[key]
+
+    def follows(self, effects: frozenset[str]) -> bool:
+        """Whether a hypothesis has such an effect."""
+        return bool(self.along & effects)
+
+    @cached_property
+    def _root(self) -> np.ndarray:
+        """Factors of the correlation of every window's pulses, (K, segments, segments)."""
+        alike = likeness_of_gusts(self.bench, middles_of_segments(self.bench))
+        return factor(alike + 1e-9 * np.eye(self.bench.segments))
+
+    def _track(self, path: np.ndarray) -> Track:
+        """A path as a bench has it, the same object for the same path: what was simulated about it is kept by that."""
+        nv, bench, key = self.bench.spec.model.nv, self.bench, path.tobytes()
+        if key in self._tracks:
+            return self._tracks[key]
+        state = path[:, : 2 * nv] * start_std(bench)
+        push = np.einsum("kst,ktd->ksd", self._root, path[:, 2 * nv :].reshape(len(path), bench.segments, nv))
+        return keep_last(self._tracks, key, Track(state[:, :nv], state[:, nv:], push * gust_std(bench)), KEPT)
 
     def _name_columns(self, response: Response) -> Nuisance:
         """The columns of a response, with pulses that are independent."""
         bench = self.bench
-        alike = likeness_of_gusts(bench, middles_of_segments(bench))
         count, values, _ = response.push.shape
-        root = factor(alike + 1e-9 * np.eye(bench.segments))
         push = response.push.reshape(count, values, bench.segments, -1)
-        push = np.einsum("kmsd,kst->kmtd", push, root).reshape(count, values, -1)
+        push = np.einsum("kmsd,kst->kmtd", push, self._root).reshape(count, values, -1)
         far = FARTHEST * bench.std[..., None]
         states = np.clip(response.state * response.state_std, -far, far)
         return Nuisance.of(states, np.clip(push, -far, far), self.layout)
@@ -97,9 +122,8 @@ class BenchSimulator:
 
 def is_known(bench: Bench, channel: int) -> bool:
     """Whether the noise of a channel's sensor is known."""
-    seen = bench.channels[channel]
-    series = {"position": "positions", "velocity": "velocities"}.get(seen.kind)
-    return series is None or all(getattr(m, series)[seen.axis].white for m in bench.flights)
+    seen = bench.channels[channel]  # to what rates and forces show a roughness is added, whatever the sheet says
+    return seen.kind == "position" and all(m.positions[seen.axis].white for m in bench.flights)
 
 
 def find_floor(bench: Bench, channel: int) -> float:
@@ -120,5 +144,5 @@ def name_unknown(suspect: Suspect) -> Unknown:
     parameter, share = suspect.parameter, LESS if suspect.effect.dissipative else 1.0
     return Unknown(
         suspect.key, suspect.nominal, suspect.width, parameter.low, parameter.high, suspect.step_from,
-        0.0 if suspect.is_limit else share * parameter.tolerance,
+        0.0 if suspect.is_limit else share * parameter.tolerance, CRITERIA.tolerances * parameter.tolerance,
     )  # fmt: skip
