@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from vpptwin.drift.history import History as History
     from vpptwin.drift.history import history as history
     from vpptwin.logs import Flight as Flight
-    from vpptwin.logs import read_flight as read_log
     from vpptwin.report.compare import Comparison as Comparison
     from vpptwin.report.compare import compare as compare
     from vpptwin.report.result import Result as Result
     from vpptwin.report.result import diagnose as diagnose
+    from vpptwin.report.sources import read_log as read_log
     from vpptwin.system.errors import InputError as InputError
     from vpptwin.train.env.environments import make_task_env as make_env
     from vpptwin.twin import Twin as Twin
@@ -42,7 +42,7 @@ _PLACES = {
     "history": "vpptwin.drift.history:history",
     "load_twin": "vpptwin.twin:load_twin",
     "make_env": "vpptwin.train.env.environments:make_task_env",
-    "read_log": "vpptwin.logs:read_flight",
+    "read_log": "vpptwin.report.sources:read_log",
 }
 
 

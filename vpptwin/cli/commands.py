@@ -46,7 +46,9 @@ def run_diagnose(options: argparse.Namespace) -> int:
     deadline = Deadline(None if options.limit is None else read_limit(options.limit))
     only = [name for text in options.only for name in text.split(",") if name]
     given = (options.logs, choose_twin(options, [options.twin])[0], options.out, options.topic_map, options.json)
-    diagnose_logs(*given, options.effects, options.force, options.rrd, options.device, only, deadline)
+    without = [name for text in options.without for name in text.split(",") if name]
+    chosen = (only, deadline, without, options.fix, options.revised)
+    diagnose_logs(*given, options.effects, options.force, options.rrd, options.device, *chosen)
     return deadline.code
 
 
@@ -76,7 +78,7 @@ def choose_twin(options: argparse.Namespace, twins: Sequence[str]) -> Sequence[s
         raise InputError(f"--twin {twins[0]} and --model {options.model}", "one of them", "leave one out")
     from vpptwin.mapping.inspect import make_twin
 
-    return [str(make_twin(options.logs, options.model))]
+    return [str(make_twin(options.logs, options.model, options.yes))]
 
 
 def run_play(options: argparse.Namespace) -> None:
@@ -133,7 +135,7 @@ def run_inspect(options: argparse.Namespace) -> None:
     """`vpptwin inspect`."""
     from vpptwin.mapping.inspect import inspect_logs
 
-    inspect_logs(options.logs, options.model, options.out, options.force)
+    inspect_logs(options.logs, options.model, options.out, options.force, options.yes)
 
 
 def run_layouts(options: argparse.Namespace) -> None:

@@ -15,6 +15,7 @@ from typing import NoReturn
 
 from vpptwin import __version__
 from vpptwin.cli import commands
+from vpptwin.system.doubt import take_as_is
 from vpptwin.system.errors import InputError, check_name, explain_missing, suggest
 from vpptwin.system.files import check_own, check_target, discard_all
 from vpptwin.system.signals import heed_signals
@@ -59,6 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if "--trust" in given:
             trust()
         return guard(lambda: commands.run_train([word for word in given[1:] if word != "--trust"]))
+    if not given:
+        parser.print_help()
+        return 0
     with show_plainly():
         options, unknown = parser.parse_known_args(given)
         if unknown:
@@ -76,7 +80,8 @@ def run(options: argparse.Namespace, given: Sequence[str]) -> int | None:
         check_own(targets.values())
     for name, path in targets.items():
         check_target(path, json=name == "json")
-    code: int | None = options.run(options)
+    with take_as_is(getattr(options, "as_is", False)):
+        code: int | None = options.run(options)
     return code
 
 
@@ -158,13 +163,18 @@ def describe_logs(begin: Begin) -> None:
     add("--pictures", metavar="DIR", help="draw what each effect does into this folder")
 
     add = begin("diagnose", "find what a twin gets wrong, from logs", commands.run_diagnose)
-    add_logs(add)
+    add_logs(add, "*")
     add("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add("--out", type=Path, metavar="DIR", required=True, help="folder for verdict.json, report.html and twin.yaml")
     add("--json", type=Path, help="write the verdict here as well; - prints it instead of the summary")
     add("--rrd", action="store_true", help="write the twins' predictions for Rerun as well as for Foxglove")
     only = "effects that are candidates, by id or pattern, e.g. elbow.*,wrist.viscous; may be repeated (default: all)"
     add("--only", action="append", default=[], metavar="IDS", help=only)
+    add("--without", action="append", default=[], metavar="IDS", help="effects that are no candidates, likewise")
+    fixed = "an effect that is known, EFFECT.PARAMETER=VALUE (or EFFECT=VALUE where it has one); may be repeated"
+    add("--fix", action="append", default=[], metavar="EFFECT=VALUE", help=fixed)
+    revised = "fit the causes of an earlier diagnosis in this folder anew, but for those --without; looks for no others"
+    add("--from", type=Path, dest="revised", metavar="DIR", help=revised)
     add("--limit", metavar="TIME", help="stop after so long, e.g. 90s, 10m, 1h, with what was found so far")
     add("--device", help="simulate on a GPU, `cuda`, or on Warp's processor device, `cpu` (default: numba, all cores)")
 
@@ -206,6 +216,7 @@ def describe_logs(begin: Begin) -> None:
 
     add = begin("inspect", "list the signals of a log, and map them to joints and actuators", commands.run_inspect)
     add("logs", type=Path, nargs="+", metavar="LOG", help=f"logs of any kind; {PARTS}")
+    add_yes(add)
     add("--model", metavar="NAME", help="MJCF or menagerie name; map signals to its joints and actuators")
     add("--out", type=Path, metavar="YAML", help="twin to write with the mapping (default MODEL_twin.yaml)")
 
@@ -239,6 +250,7 @@ def describe_pilots(begin: Begin) -> None:
     add("--out", type=Path, required=True, help="actuator YAML to write, a page goes beside it; or twin")
     add("--vehicle", type=Path, help="vehicle YAML that gives governed speed and inner rate")
     add_topic_map(add)
+    add_as_is(add)
 
     begin("train", "train a policy with PPO", lambda options: commands.run_train([]))  # Hydra takes its arguments
 
@@ -265,12 +277,14 @@ def describe_pilots(begin: Begin) -> None:
     add("--json", type=Path, help="write all figures here as well; - prints them instead of the sentence")
 
 
-def add_logs(add: Add) -> None:
+def add_logs(add: Add, number: str = "+") -> None:
     """Arguments of commands that compare logs with a twin."""
-    add("logs", type=Path, nargs="+", metavar="LOG", help=f"logs of any kind; {PARTS}")
+    add("logs", type=Path, nargs=number, metavar="LOG", help=f"logs of any kind; {PARTS}")
     add("--model", metavar="NAME", help="instead of --twin, an MJCF or menagerie name, if the mapping leaves no doubt")
+    add_yes(add)
     add_effects(add)
     add_topic_map(add)
+    add_as_is(add)
 
 
 def add_beside(add: Add) -> None:
@@ -280,6 +294,17 @@ def add_beside(add: Add) -> None:
     add("--restart", type=float, default=0.5, help="seconds between the twin's restarts (default 0.5)")
     add("--free", action="store_true", help="let the twin run freely from the start")
     add_topic_map(add)
+    add_as_is(add)
+
+
+def add_yes(add: Add) -> None:
+    """The argument that accepts what a mapping leaves in doubt."""
+    add("-y", "--yes", action="store_true", help="accept the doubts of a mapping without asking")
+
+
+def add_as_is(add: Add) -> None:
+    """The argument that overrules what looks misread."""
+    add("--as-is", action="store_true", help="take columns as they are that look as if in another unit, sign or order")
 
 
 def add_effects(add: Add) -> None:

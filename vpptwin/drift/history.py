@@ -22,11 +22,12 @@ from vpptwin.logs.flight import Flight
 from vpptwin.report.output import Pieces, give_json, stage_results
 from vpptwin.report.provenance import Provenance, trace_origin
 from vpptwin.report.sources import Log, list_logs, open_flights, open_twin
+from vpptwin.system.doubt import is_as_is, take_as_is
 from vpptwin.system.errors import InputError, suggest
 from vpptwin.system.files import STDOUT, write_json, write_whole
 from vpptwin.system.jobs import Jobs, share_out
 from vpptwin.system.progress import open_bar
-from vpptwin.system.terminal import open_console, print_warnings
+from vpptwin.system.terminal import open_console, print_dropped, print_warnings
 from vpptwin.twin.spec import EffectValues, TwinSpec, load_twin, locate_twin
 
 PAGE, DATA = "history.html", "history.json"
@@ -88,6 +89,7 @@ class FitTask:
     effects: EffectValues
     controller: str
     causes: tuple[str, ...]
+    as_is: bool
 
 
 def fit_flight(task: FitTask) -> FlightFit:
@@ -95,13 +97,14 @@ def fit_flight(task: FitTask) -> FlightFit:
     spec = load_twin(task.twin, task.effect_files).with_effects(task.effects)
     if spec.controller != task.controller:
         spec = spec.with_controller(task.controller)
-    return fit_flights(spec, [task.flight], task.causes)
+    with take_as_is(task.as_is):
+        return fit_flights(spec, [task.flight], task.causes)
 
 
 def history(
     logs: Log | Sequence[Log], twin: str | PathLike[str] | TwinSpec, parameters: str | None = None,
     bands: Mapping[str, Band] | None = None, jobs: Jobs = 1, topic_map: str | PathLike[str] | None = None,
-    effects: Sequence[str | PathLike[str]] = (), progress: bool = True,
+    effects: Sequence[str | PathLike[str]] = (), progress: bool = True, as_is: bool = False,
 ) -> History:  # fmt: skip
     """Fit the named causes to every log by itself, and report what changes, as `vpptwin history` does.
 
@@ -115,6 +118,7 @@ def history(
         topic_map: YAML that renames topics of other people's bags.
         effects: Python files with effects of the user's own, which are run; not for a twin that was read already.
         progress: whether a bar is shown on standard error.
+        as_is: take columns as they are that look as if they were in another unit, sign or order.
 
     Raises:
         InputError: on bad logs, a bad twin, unknown effects, or a band of what is not fitted.
@@ -130,16 +134,19 @@ def history(
     options = ["--parameters", parameters] if parameters is not None else []
     options += [part for name, (low, high) in checked.items() for part in ("--band", f"{name}={low:g}:{high:g}")]
     options += ["--topic-map", str(topic_map)] if topic_map is not None else []
+    options += ["--as-is"] * (as_is or is_as_is())
     options += [part for file in effects for part in ("--effects", str(file))]
     read = [flight.path for flight in flights]
     origin = trace_origin(["history", *map(str, read), "--twin", spec.name, *options], spec.name, read)
     shared = (locate_twin(spec.name), tuple(file.resolve() for file in spec.effect_files), spec.effects)
-    tasks = [FitTask(flight, *shared, spec.controller, tuple(causes)) for flight in flights]
+    tasks = [FitTask(flight, *shared, spec.controller, tuple(causes), as_is or is_as_is()) for flight in flights]
     fits: dict[int, FlightFit] = {}
     with open_bar(desc="history", disable=not progress, total=len(tasks), unit=" flights", unit_scale=False) as bar:
         for number, fit in share_out(fit_flight, tasks, jobs):
             fits[number] = fit
             bar.update()
+    if progress:
+        print_dropped({flight.name: flight.dropped for flight in flights})
     found = [FittedFlight(str(flight.path), flight.start_ns, fits[i]) for i, flight in enumerate(flights)]
     told = History(spec.name, dated, found, [], origin)
     for effect in (find_effect(spec.catalogue, cause) for cause in causes):

@@ -19,7 +19,7 @@ from vpptwin.report.twin_file import extend_effects, name_twin, round_digits
 from vpptwin.system.errors import InputError
 from vpptwin.system.files import write_files
 from vpptwin.system.progress import open_bar, tell_stage
-from vpptwin.system.terminal import open_console, print_warnings
+from vpptwin.system.terminal import open_console, print_dropped, print_warnings
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 
@@ -55,6 +55,7 @@ def identify_flights(
     origin = trace_origin(sys.argv[1:], spec.name, [flight.path for flight in flights])
     with open_bar(desc="identify") as bar:
         found = fit_flights(spec, flights, chosen, partial(tell_stage, bar), bar.update)
+    print_dropped({flight.name: flight.dropped for flight in flights})
     print_warnings(found.warnings)
     write_files({out: yaml.safe_dump(compose_twin_file(spec, found, origin, out), sort_keys=False, allow_unicode=True)})
     print_flight_fit(found, out)

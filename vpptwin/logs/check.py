@@ -8,6 +8,7 @@ import numpy as np
 
 from vpptwin.logs.channels import AXES, Column, Source
 from vpptwin.logs.streams.convert import list_fields
+from vpptwin.system.doubt import object_to
 from vpptwin.system.errors import InputError
 
 MAX_NORM_ERROR = 0.01  # of a quaternion that was meant to be a rotation
@@ -110,22 +111,22 @@ def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.n
     advice = "convert it, for instance with `scale: 0.0174533`"
     if abs(factor) > 20.0:
         found += " seen on /mocap/pose and looks like degrees per second"
-        raise InputError(found, "rad/s", f"{advice} in a topic map")
-    if abs(factor) < 1.0 / 20.0:
+        object_to(InputError(found, "rad/s", f"{advice} in a topic map"))
+    elif abs(factor) < 1.0 / 20.0:
         found += " seen on /mocap/pose, which looks like degrees"
-        raise InputError(found, "rad on /mocap/pose", f"{advice} for theta in a topic map")
-    if factor < -0.5:
-        raise InputError(
+        object_to(InputError(found, "rad on /mocap/pose", f"{advice} for theta in a topic map"))
+    elif factor < -0.5:
+        object_to(InputError(
             f"{label}: rate runs against the turning seen on /mocap/pose",
             "angular_velocity.y = -q, with theta counter-clockwise seen with x right and z up",
             "turn the sign of one of them in a topic map",
-        )
-    if not SLOWEST < factor < FASTEST:
-        raise InputError(
+        ))  # fmt: skip
+    elif not SLOWEST < factor < FASTEST:
+        object_to(InputError(
             f"{found} seen on /mocap/pose",
             "1, the same motion",
             f"convert the one that is wrong, for instance with `scale: {1.0 / factor:.3g}` for rate in a topic map",
-        )
+        ))  # fmt: skip
 
 
 def compare_steps(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:

@@ -50,6 +50,7 @@ class Flight:
         warnings: what was mended or looks odd, one line each.
         sources: canonical topic -> the topic it was recorded as, where a topic map renamed it.
         clocks: topic -> the clock that stamped it, where log times tell of it.
+        dropped: columns of tables that nothing reads.
         recorded_ns: log time of the first message [ns since the epoch of the recorder's clock]; None if it is unknown.
     """
 
@@ -62,6 +63,7 @@ class Flight:
     clocks: Mapping[str, Clock] = field(default_factory=dict)
     spatial: Mapping[str, Stream] = field(default_factory=dict)
     recorded_ns: int | None = None
+    dropped: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -57,7 +58,8 @@ def read_flight(
         return named or is_joint_state(channel.message_type) or is_spatial(channel.message_type)
 
     take = Condenser(str(spell(path)), topics)
-    recording = open_recording(path, Query(is_wanted, topics.list_fields(), topics.list_stamps(), take))
+    query = Query(is_wanted, topics.list_fields(), topics.list_stamps(), take)
+    recording = open_recording(path, query)
     warnings: list[str] = [note for file in recording.files for note in file.notes]
 
     def put_in_order(samples: Samples) -> Samples:
@@ -91,7 +93,8 @@ def read_flight(
             spatial[route.canonical] = put_in_order(signal)
         elif len(signal.stamp):
             joints.setdefault(route.canonical, {})[route.name] = put_in_order(signal)
-    return _assemble_flight(recording, topics, read, joints, spatial, warnings)
+    flight = _assemble_flight(recording, topics, read, joints, spatial, warnings)
+    return replace(flight, dropped=tuple(escape_text(name) for names in query.dropped.values() for name in names))
 
 
 def expand_logs(paths: Iterable[PathLike]) -> list[Path]:

@@ -30,7 +30,7 @@ from vpptwin.mapping.models import find_model
 from vpptwin.mapping.survey import Signal, survey
 from vpptwin.system.errors import InputError
 from vpptwin.system.files import check_own, check_target, is_same, write_whole
-from vpptwin.system.terminal import open_console
+from vpptwin.system.terminal import open_console, print_warnings
 from vpptwin.twin.robot.model import compile_model
 from vpptwin.twin.spec import load_twin
 
@@ -43,7 +43,9 @@ ROS_VECTORS = {f"{path}.{c}" for columns in SPATIAL.values() for path in columns
 """Components that are read without being named, in messages of poses, of odometry and of an IMU."""
 
 
-def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None, force: bool = False) -> list[Guess]:
+def inspect_logs(
+    logs: Sequence[Path], model: str | None, out: Path | None, force: bool = False, yes: bool = False
+) -> list[Guess]:  # fmt: skip
     """Show what is in logs and, with a model, which of the first one's signals is what; write a twin that says so.
 
     Args:
@@ -51,6 +53,7 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None, forc
         model: as of `find_model`.
         out: twin YAML to write; None for one called as the model, in the current folder.
         force: overwrite one that says something else, as somebody may have corrected it.
+        yes: take for right what would be asked.
 
     Returns:
         What was guessed, [] without a model.
@@ -79,7 +82,7 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None, forc
     with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond all measure, which reading leaves out
         guesses = guess_all(compiled, first)
     doubt_efforts(path, flights[0], guesses)
-    guesses = ask(guesses) if sys.stdin.isatty() and sys.stdout.isatty() else guesses
+    guesses = ask(guesses, yes) if yes or (sys.stdin.isatty() and sys.stdout.isatty()) else guesses
     print_guesses(guesses)
     content = compose_twin(path, target, str(flights[0]), guesses)
     there = target.read_text(errors="replace") if target.is_file() else ""
@@ -90,12 +93,13 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None, forc
     return guesses
 
 
-def make_twin(logs: Sequence[Path], model: str) -> Path:
+def make_twin(logs: Sequence[Path], model: str, yes: bool = False) -> Path:
     """Write MODEL_twin.yaml into the current folder, and show the mapping.
 
     Args:
         logs: of which the first tells what is what.
         model: as of `find_model`.
+        yes: go on with the likeliest mapping, whatever is in doubt.
 
     Returns:
         The twin.
@@ -109,7 +113,9 @@ def make_twin(logs: Sequence[Path], model: str) -> Path:
     guesses = guess_all(compiled, signals)
     print_guesses(guesses)
     doubts = [f"{guess.target}: {doubt}" for guess in guesses for doubt in guess.doubts]
-    if doubts or not guesses:
+    if yes and guesses:
+        print_warnings(doubts)
+    elif doubts or not guesses:
         first = (
             f"{len(doubts)} doubts about {log} ({doubts[0]})" if doubts else f"{path} has no hinge, slide or actuator"
         )
@@ -194,12 +200,12 @@ def print_guesses(guesses: Sequence[Guess]) -> None:
     open_console().print(table)
 
 
-def ask(guesses: Sequence[Guess]) -> list[Guess]:
+def ask(guesses: Sequence[Guess], yes: bool = False) -> list[Guess]:
     """Ask on the terminal about each doubt that a person can settle; those about the order of columns all at once."""
     ordered = [guess for guess in guesses if guess.doubts and all(d.startswith("only the order") for d in guess.doubts)]
     if ordered:
         pairs = ", ".join(f"{s.label} = {g.target}" for g in ordered for s in list(g.fields.values())[:1])
-        if input(f"Is this the order of the columns: {pairs}? [y/n] ").strip().lower() in ("y", "yes"):
+        if yes or input(f"Is this the order of the columns: {pairs}? [y/n] ").strip().lower() in ("y", "yes"):
             for guess in ordered:
                 guess.reasons.append("order confirmed")
                 guess.doubts, guess.sure = [], True

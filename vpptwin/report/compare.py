@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -12,10 +13,8 @@ from threadpoolctl import threadpool_limits
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S, choose_window, list_starts
 from vpptwin.diagnosis.evidence.logged_inputs import describe_turned, read_session
 from vpptwin.diagnosis.evidence.noise import NoiseFloor, find_noise_floor
-from vpptwin.diagnosis.judgement.diagnose import check_moving, open_held_out
+from vpptwin.diagnosis.judgement.diagnose import open_held_out
 from vpptwin.diagnosis.judgement.holdout import Score
-from vpptwin.estimation.checks.support import refuse_held
-from vpptwin.estimation.checks.units import refuse_efforts
 from vpptwin.estimation.measurements import list_warnings
 from vpptwin.logs.flight import Flight
 from vpptwin.report.error_table import ErrorTable, tabulate_errors
@@ -24,10 +23,11 @@ from vpptwin.report.sources import Log, list_logs, open_flights, open_twin
 from vpptwin.report.summary import SHOWN_HORIZON
 from vpptwin.report.terminal import print_beside, print_errors
 from vpptwin.report.words import format_digits
+from vpptwin.system.doubt import take_as_is
 from vpptwin.system.errors import InputError
 from vpptwin.system.files import STDOUT
 from vpptwin.system.progress import open_bar
-from vpptwin.system.terminal import open_console, print_warnings
+from vpptwin.system.terminal import open_console, print_dropped, print_warnings
 from vpptwin.twin.spec import TwinSpec
 
 CHI2 = "whole-log chi² {} (1 = noise floor; that of `diagnose` is of held-out windows only)"
@@ -80,6 +80,23 @@ class Comparison:
 
     __repr__ = __str__
 
+    def _repr_html_(self) -> str:
+        """Errors over the horizon, a table for each quantity and a column for each twin."""
+        parts = []
+        for entries in zip(*(one.tabulate() for one in self.twins)):
+            heads = "".join(f"<th>{html.escape(one.twin)}</th>" for one in self.twins)
+            rows = [(rows[0].horizon, [row.before for row in rows]) for rows in zip(*(entry.rows for entry in entries))]
+            rows += [(entries[0].noise_label, [entry.noise for entry in entries])] if entries[0].noise else []
+            lines = "".join(
+                f"<tr><td>{html.escape(label)}</td>{''.join(f'<td>{html.escape(cell)}</td>' for cell in cells)}</tr>"
+                for label, cells in rows
+            )
+            title = html.escape(f"{entries[0].quantity} error [{entries[0].unit}]")
+            parts.append(f"<table><caption>{title}</caption><tr><th>horizon</th>{heads}</tr>{lines}</table>")
+        told = "; ".join(f"{html.escape(one.twin)}: chi² {one.score.chi2:.3g}" for one in self.twins)
+        notes = "".join(f"<p>warning: {html.escape(warning)}</p>" for warning in self.warnings)
+        return f"{''.join(parts)}<p>{told} (1 = noise floor)</p>{notes}"
+
     @property
     def warnings(self) -> list[str]:
         """What looks odd about the logs, or follows them instead of being predicted."""
@@ -95,38 +112,41 @@ class Comparison:
 
 
 def compare(
-    logs: Log | Sequence[Log], twins: str | PathLike[str] | TwinSpec | Sequence[str | PathLike[str] | TwinSpec],
+    logs: Log | Sequence[Log],
+    twin: str | PathLike[str] | TwinSpec | Sequence[str | PathLike[str] | TwinSpec] = "nominal",
     topic_map: str | PathLike[str] | None = None, effects: Sequence[str | PathLike[str]] = (), progress: bool = True,
+    as_is: bool = False,
 ) -> Comparison:  # fmt: skip
     """Score twins on whole logs: what `vpptwin compare` prints.
 
     Args:
         logs: each a recording.
-        twins: one or several, each `nominal`, `typical`, a twin YAML, or what `load_twin` read.
+        twin: one or several, each `nominal`, `typical`, a twin YAML, or what `load_twin` read.
         topic_map: YAML that renames topics of other people's bags.
         effects: Python files with effects of the user's own, which are run; not for twins that were read already.
         progress: whether a bar is shown on standard error.
+        as_is: take columns as they are that look as if they were in another unit, sign or order.
 
     Raises:
         InputError: on bad logs or a bad twin.
     """
-    given = [twins] if isinstance(twins, (str, PathLike, TwinSpec)) else list(twins)
+    given = [twin] if isinstance(twin, (str, PathLike, TwinSpec)) else list(twin)
     if not given:
         raise InputError("no twins", "at least one", "name one")
-    specs, listed = [open_twin(twin, effects) for twin in given], list_logs(logs)
+    specs, listed = [open_twin(each, effects) for each in given], list_logs(logs)
     scored = []
-    for spec in specs:
+    for i, spec in enumerate(specs):
         flights = open_flights(listed, topic_map, spec.robot.signals.entries)
-        scored.append(score_twin(spec, flights, progress))
+        with take_as_is(as_is):
+            scored.append(score_twin(spec, flights, progress))
+        if progress and not i:
+            print_dropped({flight.name: flight.dropped for flight in flights})
     return Comparison([str(flight.path) for flight in flights], scored)
 
 
 def score_twin(spec: TwinSpec, flights: Sequence[Flight], progress: bool) -> Scored:
     """One twin's errors."""
     spec, measurements = read_session(spec, flights)
-    check_moving(measurements)
-    refuse_held(spec, measurements)
-    refuse_efforts(spec, measurements)
     chosen, measurements = choose_window(spec, measurements)
     starts = list_starts(measurements, chosen.robot.window)
     with threadpool_limits(limits=1, user_api="blas"), open_bar(desc="compare", disable=not progress) as bar:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +61,8 @@ def write_prediction(
 ) -> None:
     """Write what twins predict for one log.
 
+    `/measured/joint_states` is what was measured, as it was compared.
+
     `/twin/before/mocap/pose` is to `/mocap/pose` what the twin is to the rig: same type, same stamps, same signs; other
     rigs have `/twin/before/joint_states`. `/twin/before/residual/x` is a JointState of one name, whose position (or
     velocity) is measured minus predicted.
@@ -68,7 +70,11 @@ def write_prediction(
     The prediction is that of the diagnosed twin `spec` and, second, of the extended one if there is one.
     """
     tracks = thin_tracks(prediction.tracks)
-    topics: list[Topic] = []
+    measured = [replace(track, predicted=track.measured[None]) for track in tracks]
+    topics = [
+        replace(topic, name=topic.name.removeprefix("/twin"))
+        for topic in list_topics(spec.robot, "measured", measured, 0)
+    ]
     for i, twin in enumerate(TWINS[: len(tracks[0].predicted)]):
         topics += list_topics(spec.robot, twin, tracks, i)
         topics += [list_residual(twin, track, i) for track in tracks]

@@ -34,9 +34,11 @@ from vpptwin.report.summary import Summary, summarise
 from vpptwin.report.twin_file import compose_twin, extend_effects
 from vpptwin.report.words import join_words
 from vpptwin.system.deadline import Deadline, Stopped, read_limit, tell_time
+from vpptwin.system.doubt import is_as_is, take_as_is
 from vpptwin.system.errors import InputError, suggest
 from vpptwin.system.files import write_json, write_whole
 from vpptwin.system.progress import open_bar, tell_stage
+from vpptwin.system.terminal import print_dropped
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.warp.replay import choose_maker
 
@@ -192,7 +194,8 @@ class Result:
 def diagnose(
     logs: Log | Sequence[Log], twin: str | PathLike[str] | TwinSpec = "nominal",
     topic_map: str | PathLike[str] | None = None, effects: Sequence[str | PathLike[str]] = (), progress: bool = True,
-    device: str | None = None, only: Sequence[str] = (), limit: str | float | None = None,
+    device: str | None = None, only: Sequence[str] = (), limit: str | float | None = None, as_is: bool = False,
+    without: Sequence[str] = (), fix: Mapping[str, float] | None = None,
 ) -> Result:  # fmt: skip
     """Find what a twin gets wrong: what the command `vpptwin diagnose` does, its files aside.
 
@@ -205,39 +208,57 @@ def diagnose(
         device: where simulations run: `cuda`, a card, or `cpu`, both through Warp; None for the processor's cores.
         only: effects that are candidates, by ids or patterns such as `elbow.*`; none named for all.
         limit: time [s], or text such as `10m`, after which the search stops; what it has by then is the verdict.
+        as_is: take columns as they are that look as if they were in another unit, sign or order.
+        without: effects that are no candidates, likewise by ids or patterns.
+        fix: values of effects that are known, `{"slide.coulomb": 0.3}` or `{"motor.lag.time_constant": 0.02}`.
 
     Raises:
         InputError: on bad logs or a bad twin, a device that is not there, or a rig that none steps; or if the limit
             comes before all candidates have been tried once.
     """
     deadline = Deadline(None if limit is None else read_limit(limit, "limit"))
-    return judge_logs(logs, twin, topic_map, effects, progress, device, only, deadline).draw()
+    with take_as_is(as_is):
+        spec = settle_effects(open_twin(twin, effects), without, fix or {})
+        return judge_logs(logs, spec, topic_map, effects, progress, device, only, deadline).draw()
 
 
 def judge_logs(
     logs: Log | Sequence[Log], twin: str | PathLike[str] | TwinSpec, topic_map: str | PathLike[str] | None,
     effects: Sequence[str | PathLike[str]], progress: bool, device: str | None, only: Sequence[str],
-    deadline: Deadline,
+    deadline: Deadline, causes: Sequence[str] | None = None,
 ) -> Result:  # fmt: skip
-    """A diagnosis as `diagnose` has it, but for what is yet to be drawn."""
+    """A diagnosis as `diagnose` has it, but for what is yet to be drawn; of `causes` that are taken for granted."""
     spec = open_twin(twin, effects)
     make_twin, candidates = choose_maker(spec, device), choose_candidates(spec, only)
     flights = open_flights(logs, topic_map, spec.robot.signals.entries, apart=True)
     options = ["--topic-map", str(topic_map)] if topic_map is not None else []
+    options += ["--as-is"] * is_as_is()
     options += [part for file in effects for part in ("--effects", str(file))]
     paths = [flight.path for flight in flights]
     apart = [*(["--device", device] if device else []), *(["--only", ",".join(only)] if only else [])]
+    apart += list_settled(spec)
     apart += ["--limit", f"{deadline.limit:g}s"] if deadline.limit is not None else []
     origin = trace_origin(["diagnose", *map(str, paths), "--twin", spec.name, *options, *apart], spec.name, paths)
     with open_bar(desc="diagnose", disable=not progress) as bar:
         told = partial(tell_stage, bar), advise_meanwhile(bar, deadline)
         try:
-            diagnosis = judge(spec, flights, *told, make_twin=make_twin, only=candidates, deadline=deadline)
+            diagnosis = judge(
+                spec, flights, *told, causes=causes, make_twin=make_twin, only=candidates, deadline=deadline,
+                announce=partial(tell_before, bar),
+            )  # fmt: skip
         except Stopped as stop:
             found = f"{stop} was over before every candidate had been tried once"
             raise InputError(found, "more time, or less to do", SHORTER) from stop
+    if progress:
+        print_dropped({flight.name: flight.dropped for flight in flights})
     spec = spec.with_robot(signals=diagnosis.held_out.short.spec.robot.signals)  # of what follows its log, too
     return collect_result(spec, flights, diagnosis, origin, options)
+
+
+def tell_before(bar: tqdm, line: str) -> None:
+    """A line above the bar, where there is one."""
+    if not bar.disable:
+        bar.write(f"vpptwin: {line}", sys.stderr)
 
 
 def advise_meanwhile(bar: tqdm, deadline: Deadline) -> Callable[[int], None]:
@@ -255,24 +276,100 @@ def advise_meanwhile(bar: tqdm, deadline: Deadline) -> Callable[[int], None]:
     return report
 
 
-def choose_candidates(spec: TwinSpec, only: Sequence[str]) -> frozenset[str]:
+def match_effects(spec: TwinSpec, names: Sequence[str], option: str) -> set[str]:
     """Ids of the effects that ids and patterns name.
+
+    Raises:
+        InputError: if one names none.
+    """
+    known, chosen = [effect.id for effect in spec.catalogue], set[str]()
+    for name in names:
+        if not (found := fnmatch.filter(known, name)):
+            expected = f"ids of effects of {spec.name}, or patterns such as NAME.*"
+            listed = f"`vpptwin effects --twin {spec.name}` lists them"
+            raise InputError(f"{option} {name}", expected, suggest(name, known, listed))
+        chosen.update(found)
+    return chosen
+
+
+def choose_candidates(spec: TwinSpec, only: Sequence[str]) -> frozenset[str]:
+    """Ids of the effects that ids and patterns name, of those that are not settled.
 
     Raises:
         InputError: if one names none, or all together name only effects that need impacts.
     """
-    known = {effect.id: effect for effect in spec.catalogue}
-    chosen = set[str]()
-    for name in only:
-        if not (found := fnmatch.filter(known, name)):
-            expected = f"ids of effects of {spec.name}, or patterns such as NAME.*"
-            listed = f"`vpptwin effects --twin {spec.name}` lists them"
-            raise InputError(f"--only {name}", expected, suggest(name, known, listed))
-        chosen.update(found)
-    if chosen and not any(not spec.robot.hides(known[effect]) for effect in chosen):
-        found_ids = join_words(sorted(chosen))
-        raise InputError(f"--only {found_ids}", "an effect that shows without impacts, too", "name one more")
+    chosen = match_effects(spec, only, "--only") - spec.settled
+    shown = [e.id for e in spec.catalogue if not spec.robot.hides(e) and e.id not in spec.settled]
+    if (only and not chosen & set(shown)) or not shown:
+        found = f"--only {join_words(sorted(only))}" if only else "no candidate is left"
+        raise InputError(found, "an effect that shows without impacts, too, and is not settled", "name one more")
     return frozenset(chosen)
+
+
+def settle_effects(spec: TwinSpec, without: Sequence[str], fix: Mapping[str, float]) -> TwinSpec:
+    """The twin with some effects left out of question: as they are in it, or at a value.
+
+    Args:
+        spec: the twin.
+        without: ids or patterns of effects.
+        fix: EFFECT.PARAMETER, or EFFECT where it has but one, → value.
+
+    Raises:
+        InputError: on an unknown effect or parameter, or a value out of bounds.
+    """
+    effects, known = {id: dict(values) for id, values in spec.effects.items()}, {e.id: e for e in spec.catalogue}
+    fixed = set[str]()
+    for name, value in fix.items():
+        effect, parameter = (name, "") if name in known else name.rpartition(".")[::2]
+        match_effects(spec, [effect if effect in known else name], "--fix")
+        names = [p.name for p in known[effect].parameters]
+        if parameter not in names and (parameter or len(names) > 1):
+            example = f"--fix {effect}.{names[0]}={value:g}"
+            raise InputError(
+                f"--fix {name}={value:g}", f"a parameter of {effect}: {join_words(names)}", f"e.g. {example}"
+            )
+        effects.setdefault(effect, {})[parameter or names[0]] = value
+        fixed.add(effect)
+    return spec.with_effects(effects).settle(match_effects(spec, without, "--without") | fixed)
+
+
+def list_settled(spec: TwinSpec) -> list[str]:
+    """The options of a command that settle the same effects."""
+    told = []
+    for effect in sorted(spec.settled):
+        fixed = [("--fix", f"{effect}.{name}={value:g}") for name, value in spec.effects.get(effect, {}).items()]
+        told += [part for pair in fixed or [("--without", effect)] for part in pair]
+    return told
+
+
+def parse_fixed(given: Sequence[str]) -> dict[str, float]:
+    """Values from `EFFECT=VALUE`.
+
+    Raises:
+        InputError: if one is no such pair.
+    """
+    fixed = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        try:
+            fixed[name] = float(value)
+        except ValueError:
+            raise InputError(f"--fix {text}", "EFFECT=VALUE, e.g. slide.coulomb=0.3", "correct it") from None
+    return fixed
+
+
+def read_causes(folder: Path) -> tuple[list[Path], str, list[str]]:
+    """Logs, twin and causes of the verdict in a folder.
+
+    Raises:
+        InputError: if there is none.
+    """
+    try:
+        told = loads((folder / VERDICT).read_text(encoding="utf-8"))
+        return [Path(log) for log in told["logs"]], str(told["twin"]), [cause["effect"] for cause in told["causes"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        found = f"--from {folder}: no readable {VERDICT}"
+        raise InputError(found, "a folder that `vpptwin diagnose` wrote", "name another") from error
 
 
 def collect_result(

@@ -30,6 +30,26 @@ def open_twin(twin: str | PathLike[str] | TwinSpec, effects: Sequence[str | Path
     return twin if isinstance(twin, TwinSpec) else load_twin(str(twin), [Path(file) for file in effects])
 
 
+def read_log(
+    path: str | PathLike[str] | Sequence[str | PathLike[str]], topic_map: str | PathLike[str] | None = None,
+    twin: str | PathLike[str] | TwinSpec | None = None,
+) -> Flight:  # fmt: skip
+    """Read a log.
+
+    Args:
+        path: a log in any format of docs/logs.md, a rosbag2 folder, or a list of the files of one recording.
+        topic_map: YAML file for logs with other topics, types or units (docs/logs.md).
+        twin: whose signals say where joints and actuators lie: its name or YAML, or what `load_twin` read.
+
+    Returns:
+        All topics of the channel table that have messages, and all joints of all JointState topics.
+
+    Raises:
+        InputError: if the log is damaged, is no log, or holds values that cannot be right.
+    """
+    return read_flight(path, topic_map, None if twin is None else open_twin(twin).robot.signals.entries)
+
+
 def list_logs(logs: Log | Sequence[Log]) -> list[Log]:
     """Logs, folders of flights given as the flights in them."""
     given = [logs] if isinstance(logs, (str, PathLike, Flight)) else logs

@@ -125,6 +125,8 @@ def describe_partial(verdict: Verdict) -> str:
         told.append(f"What was not done: {join_words(cut.not_done)}.")
     if verdict.only:
         told.append(f"Only {join_words(verdict.only)} were tried; other effects may explain as much.")
+    if verdict.settled:
+        told.append(f"Not tried, as asked: {join_words(verdict.settled)}.")
     return " ".join(told)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TextIO
 
 from vpptwin.system.errors import escape_text
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 OWN = re.compile(r"(\x1b\[(?:[0-3];?)+m|[\n\t])")
 """What passes as it is: ends of lines, and the bold and dim of rich."""
+MOST = 12
+"""Columns that are named."""
 
 
 class Screen:
@@ -55,6 +57,15 @@ def print_warnings(warnings: Iterable[str]) -> None:
     """Say each once, on standard error."""
     for warning in dict.fromkeys(warnings):
         print(f"warning: {warning}", file=sys.stderr)
+
+
+def print_dropped(dropped: Mapping[str, Sequence[str]]) -> None:
+    """Say which columns of each log nothing reads, on standard error."""
+    for name, columns in dropped.items():
+        more = f" and {len(columns) - MOST} more" if len(columns) > MOST else ""
+        if columns:
+            print(f"note: {name}: columns that no signal names are dropped: {', '.join(columns[:MOST])}{more}",
+                  file=sys.stderr)  # fmt: skip
 
 
 def open_console(width: int | None = None) -> Console:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -66,6 +66,7 @@ class TwinFile(BaseModel):
     vehicle: str | None = None
     effects: FileEffects = {}
     effects_from: list[str] = []
+    priors: dict[str, Annotated[float, Field(ge=0.0, lt=1.0)]] = {}
     signals: Signals | None = None
     controller: Controller = "map"
     actuator: str | None = None
@@ -90,6 +91,8 @@ class TwinSpec:
         actuator_file: whose numbers stand in `vehicle` in place of those of its file.
         thrust_to_weight: that its rotors were made stronger to; None for the vehicle's own.
         intervals: "effect.parameter" → its 90 % interval, of values that a diagnosis or identification found.
+        priors: effect id → prior probability that it is there and unknown to the twin; the rest share one.
+        settled: ids of effects that are no candidates: left out, or fixed at the twin's value.
     """
 
     name: str
@@ -103,6 +106,8 @@ class TwinSpec:
     actuator_file: Path | None = None
     thrust_to_weight: float | None = None
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    priors: Mapping[str, float] = field(default_factory=dict)
+    settled: frozenset[str] = frozenset()
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -126,6 +131,10 @@ class TwinSpec:
         """The same rig with other effects switched on."""
         checked = check_effects(effects, self.catalogue, self.name)
         return replace(self, effects=checked)
+
+    def settle(self, effects: Iterable[str]) -> TwinSpec:
+        """The same twin, of which these effects are no candidates: they stay as they are in it."""
+        return replace(self, settled=self.settled | frozenset(effects))
 
     def with_robot(self, **changes: Any) -> TwinSpec:  # noqa: ANN401
         """The same twin of a rig with other fields, such as its `model` or `rotorcraft`; nothing is compiled anew."""
@@ -192,6 +201,17 @@ def check_effects(
     return checked
 
 
+def check_priors(priors: Mapping[str, float], catalogue: tuple[Effect, ...], source: str) -> Mapping[str, float]:
+    """Refuse prior probabilities of what the catalogue lacks."""
+    known = [effect.id for effect in catalogue]
+    for name in priors:
+        if name not in known:
+            found = f"{source}: a prior of unknown effect {name!r}"
+            action = suggest(name, known, f"`vpptwin effects --twin {source}` lists them")
+            raise InputError(found, "the id of an effect", action)
+    return priors
+
+
 def locate_twin(name: str) -> str:
     """The twin as it is found from any folder: the name of a shipped one, or an absolute path."""
     return name if name in SHIPPED else str(Path(name).resolve())
@@ -235,7 +255,7 @@ def describe_mistake(error: ValidationError) -> tuple[str, str]:
     """What the first mistake in a twin YAML is, the key first, and what was expected there."""
     first = error.errors()[0]
     place = [str(part) for part in first["loc"]]
-    keys = "model and, if need be, vehicle, effects, signals, controller, actuator, losses, thrust_to_weight"
+    keys = "model and, if need be, vehicle, effects, signals, priors, controller, actuator, losses, thrust_to_weight"
     if place[:1] == ["signals"]:
         keys = ", ".join([*SIGNAL_TOPICS, "turned"])
     if place[:2] == ["signals", "entries"]:  # by the topic that they are read as
@@ -291,6 +311,7 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
     spec = TwinSpec(
         name, model_file, robot, catalogue, effects, vehicle_file, effect_files,
         actuator_file=actuator_file, thrust_to_weight=file.thrust_to_weight,
-        intervals=file.provenance.intervals_90_percent,
+        intervals=file.provenance.intervals_90_percent, priors=check_priors(file.priors, catalogue, name),
+        settled=frozenset(effect for effect, prior in file.priors.items() if prior == 0.0),
     )  # fmt: skip
     return spec.with_controller(file.controller)

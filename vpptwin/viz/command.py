@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from vpptwin.estimation.checks.gate import check_columns
 from vpptwin.estimation.measurements import list_warnings, read_measurements
 from vpptwin.estimation.replay import Prediction, replay
 from vpptwin.logs import Flight, read_flight
 from vpptwin.logs.spelling import expand
+from vpptwin.system.doubt import list_overruled
 from vpptwin.system.errors import InputError
-from vpptwin.system.terminal import print_warnings
+from vpptwin.system.terminal import print_dropped, print_warnings
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 
@@ -40,8 +42,14 @@ class LogSource:
             found = f"{flight.path}: joints on {', '.join(flight.joints)} and no /mocap/pose"
             advice = "name that rig's twin with --twin"
             raise InputError(found, "a log of our craft, or the twin of another rig", advice)
-        prediction = None if twin is None else replay(spec, flight, restart)
-        print_warnings(look_over(spec, flight) if prediction is None else prediction.warnings)
+        if twin is None:
+            print_warnings(look_over(spec, flight))
+            return flight, None, spec
+        measurements = read_measurements(spec, flight)
+        check_columns(spec, [flight], [measurements])
+        prediction = replay(spec, flight, restart, measurements=measurements)
+        print_dropped({flight.name: flight.dropped})
+        print_warnings([*prediction.warnings, *list_overruled()])
         return flight, prediction, spec
 
 

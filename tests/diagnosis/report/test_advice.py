@@ -43,7 +43,7 @@ def test_a_named_cause_is_compared_watched_and_trained_on() -> None:
     """In that order, with the extended twin's file, and the options that reading the log took."""
     options = ("--topic-map", "my topics.yaml")
     commands = list_commands(advise(NAMED, read_demo()[0], options))
-    assert [words[0] for words in commands] == ["compare", "play", "train"]
+    assert [words[0] for words in commands] == ["compare", "export", "play", "train"]
     assert all("out/x y/twin.yaml" in " ".join(words) for words in commands)
     assert commands[0][-2:] == list(options)
     assert commands[0][1:6] == ["a flight.mcap", "--twin", "nominal", "--twin", "out/x y/twin.yaml"]
@@ -59,7 +59,7 @@ def test_results_that_are_not_saved_are_saved_first() -> None:
 def test_nobody_trains_on_a_rig_of_other_people(tmp_path: Path) -> None:
     """Our tasks and manoeuvres are for the drone."""
     steps = advise(NAMED, load_twin(write_rig(tmp_path)))
-    assert [words[0] for words in list_commands(steps)] == ["compare", "play"]
+    assert [words[0] for words in list_commands(steps)] == ["compare", "export", "play"]
     assert "fly --list" not in steps[-1].text
 
 

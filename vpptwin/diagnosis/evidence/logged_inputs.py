@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -11,9 +12,14 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.effects import Effect
 from vpptwin.effects.actuator import GAIN
 from vpptwin.effects.joint import apply_bias
+from vpptwin.estimation.checks.gate import check_columns
+from vpptwin.estimation.checks.support import refuse_held
+from vpptwin.estimation.checks.units import refuse_efforts
 from vpptwin.estimation.dynamics import REACH, measure_forces
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight
+from vpptwin.system.doubt import list_overruled
+from vpptwin.system.errors import InputError
 from vpptwin.twin.robot.manifold import FREE
 from vpptwin.twin.robot.model import inertia_at_rest
 from vpptwin.twin.spec import TwinSpec
@@ -102,10 +108,23 @@ def read_session(
     thrust points is then known, and what of it acts on where the body goes can be told; else nothing can.
 
     Raises:
-        InputError: if a log lacks what the twin needs.
+        InputError: if a log lacks what the twin needs, or columns look misread (`vpptwin.estimation.checks.gate`).
     """
-    model, signals = spec.model, spec.robot.signals
     measurements = [read_measurements(spec, flight) for flight in flights]
+    check_columns(spec, flights, measurements)
+    spec, measurements = follow_turned(spec, flights, measurements, criteria)
+    check_moving(measurements)
+    refuse_held(spec, measurements)
+    refuse_efforts(spec, measurements)
+    first, *others = measurements
+    return spec, [replace(first, warnings=(*first.warnings, *list_overruled())), *others]
+
+
+def follow_turned(
+    spec: TwinSpec, flights: Sequence[Flight], measurements: list[Measurements], criteria: Criteria
+) -> tuple[TwinSpec, list[Measurements]]:  # fmt: skip
+    """The twin whose free bodies turn as logged where inputs do not tell what turned them, and what was measured."""
+    model, signals = spec.model, spec.robot.signals
     joints = {each.name: each.joint for each in spec.robot.tracked if each.name in signals.bodies}
     flying = [b for b, joint in joints.items() if model.jnt_type[joint] == FREE and b not in signals.turned]
     if not flying:
@@ -128,3 +147,11 @@ def noise_of_rate(measurements: Sequence[Measurements], dof: int) -> float:
     """Standard deviation of a measured rate [m/s, rad/s]; nan where none is measured in all logs."""
     rates = [log.velocities.get(dof) for log in measurements]
     return float(np.sqrt(np.mean([np.nan if rate is None else rate.std**2 for rate in rates])))
+
+
+def check_moving(measurements: Sequence[Measurements]) -> None:
+    """Refuse logs in which nothing moves."""
+    for flight in measurements:
+        spread = max(float(np.ptp(series.value)) / series.std for series in flight.positions.values())
+        if spread < 20.0:
+            raise InputError(f"{flight.name}: nothing moves", "a log with motion", "log a manoeuvre")

@@ -114,7 +114,7 @@ def judge_blows(
         make_twin: makes simulations.
         only: effects that are candidates; none named for all.
     """
-    contacts = [e for e in spec.catalogue if e.touching and (not only or e.id in only)]
+    contacts = [e for e in spec.catalogue if e.touching and e.id not in spec.settled and (not only or e.id in only)]
     suspects = {e.id: [Unknown(e, p, spec.value(e, p.name)) for p in e.parameters] for e in contacts}
     if not suspects:
         return Findings()

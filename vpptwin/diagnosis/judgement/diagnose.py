@@ -36,16 +36,14 @@ from vpptwin.diagnosis.judgement.verdict import Cause, Cut, Experiment, Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
 from vpptwin.diagnosis.search.information import choose_judges, measure_information
 from vpptwin.diagnosis.search.motion import follow_motion
+from vpptwin.diagnosis.search.prospects import foresee
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.separation import Hypothesis
 from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns
 from vpptwin.effects import find_effect
-from vpptwin.estimation.checks.support import refuse_held
-from vpptwin.estimation.checks.units import refuse_efforts
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.logs.flight import Flight
 from vpptwin.system.deadline import Deadline
-from vpptwin.system.errors import InputError
 from vpptwin.twin.robot.robot import Robot, by_robot
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
@@ -85,6 +83,7 @@ def diagnose(
     spec: TwinSpec, flights: Sequence[Flight], stage: Stage = lambda text: None,
     progress: Callable[[int], None] | None = None, criteria: Criteria = CRITERIA, causes: Sequence[str] | None = None,
     make_twin: MakeTwin = Twin, only: Collection[str] = (), deadline: Deadline | None = None,
+    announce: Stage = lambda text: None,
 ) -> Diagnosis:  # fmt: skip
     """Find what a twin gets wrong.
 
@@ -98,6 +97,7 @@ def diagnose(
         make_twin: makes the simulations, as `Bench` says.
         only: effects that are candidates; none named for all.
         deadline: when to stop with what was found so far; None for never.
+        announce: told, before a search on a jointed rig, what it may find and how long it takes, line by line.
 
     Raises:
         Stopped: if that is before all candidates have been tried once.
@@ -111,7 +111,9 @@ def diagnose(
     progress = deadline.watch(progress)
     # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
     with threadpool_limits(limits=1, user_api="blas"):
-        material = prepare(spec, flights, stage, progress, criteria, make_twin, causes is None, only, deadline)
+        material = prepare(
+            spec, flights, stage, progress, criteria, make_twin, causes is None, only, deadline, announce
+        )
         spec = material.search.bench.spec
         if material.inferred is not None:
             selection = select_inferred(material.inferred, material.search)
@@ -127,7 +129,7 @@ def diagnose(
             selection = replace(selection, unrivalled=selection.fit.effects)
         found = judge(spec, flights, material, selection, stage, deadline)
         if causes is not None:
-            return found
+            return replace(found, verdict=replace(found.verdict, settled=sorted(spec.settled)))
         if (blows := material.blows) is None or not blows.causes:  # other causes may have hidden them
             given = stage, progress, criteria, make_twin, only
             work = partial(judge_blows, spec, material.measurements, found.values, *given)
@@ -135,7 +137,8 @@ def diagnose(
             blows = deadline.attempt(["judging contacts by impacts"], work, Findings()) if struck else work()
         found = add_blows(found, blows)
         cut = Cut(deadline.why, round(deadline.passed, 1), deadline.not_done) if deadline.not_done else None
-        return replace(found, verdict=replace(found.verdict, stopped=cut, only=sorted(only)))
+        settled = sorted(spec.settled)
+        return replace(found, verdict=replace(found.verdict, stopped=cut, only=sorted(only), settled=settled))
 
 
 def follow(material: Material, selection: Selection, deadline: Deadline) -> Selection:
@@ -190,16 +193,13 @@ class Material:
 def prepare(
     spec: TwinSpec, flights: Sequence[Flight], stage: Stage, progress: Callable[[int], None] | None,
     criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin, contacts: bool = False, only: Collection[str] = (),
-    deadline: Deadline | None = None,
+    deadline: Deadline | None = None, announce: Stage = lambda text: None,
 ) -> Material:  # fmt: skip
     """Cut logs into windows, choose held-out ones, and linearise the twin about the others.
 
     Where blows are not left out and `contacts` are looked for, the twin has what blows told of them.
     """
     spec, read = read_session(spec, flights, criteria)
-    check_moving(read)
-    refuse_held(spec, read)
-    refuse_efforts(spec, read)
     spec, measurements = choose_window(spec, read)
     spec = scale_twin(spec, measurements)
     blows = None
@@ -210,7 +210,7 @@ def prepare(
     unknowns = list_unknowns(spec, only)
     if contacts and deadline is not None and not is_followed(spec):
         inferred, measurements, search, held_out = infer(
-            spec, measurements, unknowns, stage, progress, criteria, make_twin, deadline
+            spec, measurements, unknowns, stage, progress, criteria, make_twin, deadline, announce
         )
         return Material(read, measurements, search, held_out, blows, inferred)
     judges: set[int] = set()
@@ -233,6 +233,7 @@ def prepare(
 def infer(
     spec: TwinSpec, measurements: Sequence[Measurements], unknowns: tuple[Unknown, ...], stage: Stage,
     progress: Callable[[int], None] | None, criteria: Criteria, make_twin: MakeTwin, deadline: Deadline,
+    announce: Stage,
 ) -> tuple[Inferred, list[Measurements], Search, HeldOut]:  # fmt: skip
     """Compare hypotheses on all windows; then the logs with the noise that was inferred, and benches of them."""
     window = spec.robot.window
@@ -244,6 +245,8 @@ def infer(
     scout = (
         bench if every < 2 else build_bench(spec, measurements, [s[::every] for s in few], *given, make_twin=make_twin)
     )
+    for line in foresee(bench, scout, unknowns).describe():
+        announce(line)
     inferred = infer_causes(bench, scout, unknowns, stage, deadline)  # which holds the deadline from here on
     stage("judging every stretch by fits to the others")
     calm = rescale(measurements, bench, inferred.scales)
@@ -324,11 +327,3 @@ def open_held_out(
     return HeldOut(
         short, build_bench(spec, measurements, far, horizon, True, progress, criteria, True, make_twin)
     )  # fmt: skip
-
-
-def check_moving(measurements: Sequence[Measurements]) -> None:
-    """Refuse logs in which nothing moves."""
-    for flight in measurements:
-        spread = max(float(np.ptp(series.value)) / series.std for series in flight.positions.values())
-        if spread < 20.0:
-            raise InputError(f"{flight.name}: nothing moves", "a log with motion", "log a manoeuvre")

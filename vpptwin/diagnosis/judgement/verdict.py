@@ -160,6 +160,7 @@ class Verdict:
     warnings: list[str] = field(default_factory=list)
     stopped: Cut | None = None
     only: list[str] = field(default_factory=list)
+    settled: list[str] = field(default_factory=list)  # effects that were no candidates, as the user said
 
     @property
     def partial(self) -> bool:
@@ -183,4 +184,5 @@ class Verdict:
             "warnings": self.warnings,
             "stopped": asdict(self.stopped) if self.stopped is not None else None, "only": self.only or None,
         }  # fmt: skip
+        content |= {"settled": self.settled} if self.settled else {}
         return content

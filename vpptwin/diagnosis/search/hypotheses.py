@@ -52,6 +52,7 @@ def compare_hypotheses(
     usual = -float(np.log(max(len(effects), 2)))
     odds = {name: usual + (COLUMNS if name in bench.of_sensors or ZERO in effect.writes else 0.0)
             for name, effect in effects.items()}  # fmt: skip
+    odds |= {name: float(np.log(p / (1.0 - p))) for name, p in bench.spec.priors.items() if name in odds and p > 0.0}
     comparison = Comparison(TEMPER, odds)
     modifies = {name: effect.modifies for name, effect in effects.items() if effect.modifies}
     deadline = deadline or Deadline()

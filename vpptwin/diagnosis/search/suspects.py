@@ -76,7 +76,8 @@ class Unknown:
 
 def list_unknowns(spec: TwinSpec, only: Collection[str] = ()) -> tuple[Unknown, ...]:
     """All parameters of all effects, or of `only` those named, that this rig can have and a log can show."""
-    suspects = (e for e in spec.catalogue if not spec.robot.hides(e) and (not only or e.id in only))
+    own = (e for e in spec.catalogue if not spec.robot.hides(e) and e.id not in spec.settled)
+    suspects = (e for e in own if not only or e.id in only)
     return tuple(Unknown(e, p, spec.value(e, p.name)) for e in suspects for p in e.parameters)
 
 

@@ -19,6 +19,7 @@ from vpptwin.logs.channels import EULER
 from vpptwin.logs.check import MIN_TURN
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.streams.samples import euler_to_quaternion
+from vpptwin.system.doubt import object_to
 from vpptwin.system.errors import InputError
 from vpptwin.system.fields import FRAMES, FieldEntry, SignalEntry, dump_entry
 from vpptwin.twin.robot.manifold import conjugate, difference_attitudes, follow_sign, read_angles, turn_to_world
@@ -320,23 +321,25 @@ def vet_turns(spec: TwinSpec, label: str, tracked: Tracked, pose: Stream, source
         return
     shares = f"{1.0 - better.residual:.0%} of the turning, {1.0 - better.given:.0%} as given"
     if better.of == "attitude":
-        raise refuse_attitude(label, tracked, body, better, f"turn as its rates do ({shares})")
+        object_to(refuse_attitude(label, tracked, body, better, f"turn as its rates do ({shares})"))
+        return
     where, given = f"{label}: rates of {tracked.name}", source.entry.rate if source.entry is not None else None
     axes = [f"{'twist.twist.angular' if source.name == tracked.name else 'angular_velocity'}.{axis}" for axis in "xyz"]
     if better.of == "frame":
         line = compose_line("rate", given, axes, frame=better.frame)
-        raise InputError(
+        object_to(InputError(
             f"{where} turn as its attitudes do only if they are about {ABOUT[better.frame]} ({shares})",
             f"rates about {ABOUT[frame]}", f"write `{line}` for {source.name} in the twin's signals",
-        )  # fmt: skip
+        ))  # fmt: skip
+        return
     line = compose_line("rate", given, axes, better)
     plain = rate is source.stream["rate"]  # axes are those that were logged, not turned as a site is
-    raise InputError(
+    object_to(InputError(
         f"{where} are mirrored: they turn as its attitudes do only with an axis turned round, or two swapped "
         f"({shares})",
         "x, y, z of right-handed axes",
         f"write `{line}` for {source.name} in the twin's signals" if plain else "correct signs and order of its axes",
-    )
+    ))  # fmt: skip
 
 
 def vet_pushes(spec: TwinSpec, flight: Flight, tracked: Tracked, measured: Measurements) -> None:
@@ -370,7 +373,7 @@ def vet_pushes(spec: TwinSpec, flight: Flight, tracked: Tracked, measured: Measu
             if find_convention((pose.time, better.read_attitude(pose.value)), (rates[0].time, rate)):
                 continue
         shares = f"{1.0 - better.residual:.1%} of its directions, {1.0 - better.given:.1%} as given"
-        raise refuse_attitude(str(flight.path), tracked, body, better, f"fit the {what} ({shares})")
+        object_to(refuse_attitude(str(flight.path), tracked, body, better, f"fit the {what} ({shares})"))
 
 
 def find_thrust(spec: TwinSpec, tracked: Tracked, measured: Measurements) -> Sampled | None:

@@ -18,6 +18,7 @@ from vpptwin.estimation.dynamics import Forces, find_driven_joint, measure_force
 from vpptwin.estimation.series import Measurements, integrate
 from vpptwin.logs.check import FASTEST, MIN_R_SQUARED, MIN_TURN, SLOWEST, compare_steps
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.system.doubt import object_to
 from vpptwin.system.errors import InputError
 from vpptwin.system.fields import UNITS, FieldEntry, SignalEntry
 from vpptwin.twin.robot.actuation import JOINT, tell_control
@@ -94,9 +95,8 @@ def vet_rates(label: str, time: np.ndarray, turned: np.ndarray, rate: np.ndarray
         if abs(np.log(factor * size)) < np.log(SAME_UNIT):
             looks = f" and look like rad/s that `unit: {unit}` makes too small"
             mend = "correct its signal in the twin, for instance with `unit: rad/s`"
-    raise InputError(
-        f"{label} are {factor:.3g} times the turning of the attitudes{looks}", "rad/s of the same motion", mend
-    )
+    found = f"{label} are {factor:.3g} times the turning of the attitudes{looks}"
+    object_to(InputError(found, "rad/s of the same motion", mend))
 
 
 class LoggedPosition(NamedTuple):
@@ -177,7 +177,7 @@ def vet_travel(model: mujoco.MjModel, signals: Signals, flight: Flight) -> list[
     found = f"{'; '.join(map(str, ends[:3]))}, as per cents of a calibrated travel are, which LeRobot logs"
     if any(each.beyond for each in ends):
         advice = "give `scale` and `offset` of its calibration, scale alone if it is in that unit after all"
-        raise InputError(f"{flight.path}: {found}, where the joint cannot be", "rad, m or a unit", advice)
+        object_to(InputError(f"{flight.path}: {found}, where the joint cannot be", "rad, m or a unit", advice))
     return [f"{found}: is the unit right?"] * bool(ends)
 
 
@@ -311,8 +311,8 @@ def refuse_efforts(spec: TwinSpec, measurements: Sequence[Measurements]) -> None
     if far:
         kind = " and ".join(dict.fromkeys("N m" if each.rotary else "N" for each in far))
         given = " and ".join(f"`scale: {each.scale:.4g}` for {each.actuator}" for each in far)
-        raise InputError(
+        object_to(InputError(
             f"{measurements[0].name}: {', '.join(map(str, far))}",
             f"{kind} in every log, or a model as heavy as the rig",
             f"give {given} in the twin's signals ({far[0].example})",
-        )
+        ))  # fmt: skip

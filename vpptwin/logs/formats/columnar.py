@@ -11,7 +11,7 @@ import numpy as np
 from vpptwin.logs.formats.arrays import refuse_tests
 from vpptwin.logs.formats.headings import find_times, split_units
 from vpptwin.logs.formats.raw import Query, refuse_damaged
-from vpptwin.logs.formats.tables import NAMES, Table, choose_fields, find_named, list_some
+from vpptwin.logs.formats.tables import NAMES, Table, choose_fields, find_named, list_some, note_dropped
 from vpptwin.logs.parts import split_test
 from vpptwin.system.errors import InputError, load_extra
 from vpptwin.system.fields import UNSAID, Stamp
@@ -71,6 +71,7 @@ def read_rows(
             if stamps.dtype.kind not in "iuf" or stamps.ndim > 1:
                 raise InputError(f"{path}: {clock} holds no numbers", "a column of times", "name another as its stamp")
             fields = choose_fields(query, topic, [column for columns in held.values() for column in columns])
+            note_dropped(query, topic, [column for columns in held.values() for column in columns], clock)
             if topic not in query.fields and (unread := [name for name, columns in held.items() if not columns]):
                 notes.append(f"{topic}: {list_some('no numbers in', unread)}")
             given = {n: given[n] for n, columns in held.items() if n == clock or not fields.keys().isdisjoint(columns)}

@@ -26,7 +26,7 @@ from vpptwin.logs.formats.csv_form import (
 )
 from vpptwin.logs.formats.headings import find_times
 from vpptwin.logs.formats.raw import Query, refuse_damaged
-from vpptwin.logs.formats.tables import NAMES, Table, choose_fields, find_named, list_some
+from vpptwin.logs.formats.tables import NAMES, Table, choose_fields, find_named, list_some, note_dropped
 from vpptwin.system.errors import InputError, load_extra
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ def read_csv(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator
     times = find_times(path, topic, form.names, query.stamps.get(topic), form.units)
     clock = times.name
     fields = choose_fields(query, topic, form.names)
+    note_dropped(query, topic, form.names, clock)
     needed = {clock, *find_named(query, topic, fields)}
     readable = {name for name, kind in zip(form.names, form.kinds)
             if query.texts or kind != "text" or name in needed or NAMES.fullmatch(name)}  # fmt: skip

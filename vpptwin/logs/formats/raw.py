@@ -110,6 +110,7 @@ class Query:
     span: Span | None = None  # which messages are wanted, None for all
     texts: bool = False  # whether columns of text are
     names: Mapping[str, str] = field(default_factory=dict)  # what a table is called -> what it is wanted as
+    dropped: dict[str, list[str]] = field(default_factory=dict)  # topic -> columns that nobody wants; reading fills it
 
 
 class HeldBytes:

@@ -46,6 +46,13 @@ def choose_fields(query: Query, topic: str, columns: Iterable[str]) -> dict[str,
     return {n: names[n] for n in named} if len(named) >= len({path.split("[")[0] for path in paths}) - 1 else names
 
 
+def note_dropped(query: Query, topic: str, columns: Iterable[str], clock: str) -> None:
+    """Note which columns of a table, besides its time, are none of those that somebody names."""
+    if topic in query.fields:
+        names = dict(zip(columns := list(columns), make_unique(list_names(column)[2] for column in columns)))
+        query.dropped[topic] = [column for column in columns if column not in {clock, *find_named(query, topic, names)}]
+
+
 def find_named(query: Query, topic: str, names: Mapping[str, str]) -> list[str]:
     """The columns that somebody names, of those that messages call so."""
     paths = query.fields.get(topic, ())

@@ -75,6 +75,8 @@ def list_steps(
                 told, session.type("compare", *session.logs, "--twin", session.spec.name, "--twin", session.extended)
             )
         )
+        words = ["vpptwin", "export", session.extended, "--format", "mjcf"]
+        steps.append(NextStep("Use the extended twin elsewhere: write it as MJCF.", shlex.join(words)))
     beside = "extended twin" if verdict.causes else "twin"
     steps.append(NextStep(f"View the {beside} beside a log.", session.type("play", session.logs[0], "--twin", twin)))
     if is_unexplained(verdict):

@@ -22,6 +22,7 @@ from vpptwin.train.env.vpp_env import configure_env
 from vpptwin.twin import Twin, TwinState
 from vpptwin.twin.health import FASTEST
 from vpptwin.twin.sensors import PERFECT, read_sensors
+from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.stepping.kernel import COMPILING
 from vpptwin.twin.stepping.past import record_poses, start_sensors
 from vpptwin.twin.warp.device import check_driver, load_warp
@@ -295,14 +296,16 @@ class DeviceEnv(BaseEnv):
         self.flown, self.restored = snapshot["flown"], True
 
 
-def make_device_env(config: TrainConfig, device: torch.device, schedule: Schedule | None = None) -> DeviceEnv:
+def make_device_env(
+    config: TrainConfig, device: torch.device, schedule: Schedule | None = None, spec: TwinSpec | None = None
+) -> DeviceEnv:
     """The environment of a run on a device.
 
     Raises:
         InputError: as `vpptwin.train.env.vpp_env.make_env` and `DeviceEnv`.
     """
     check_warp(device)
-    spec, flown = configure_env(config, schedule)
+    spec, flown = configure_env(config, schedule, spec=spec)
     twin = Twin(spec, BANK_SIZE if flown.randomized else 1, active=flown.randomized, num_threads=config.sim_threads)
     return DeviceEnv(twin, flown, config.num_envs, device)
 

@@ -14,6 +14,7 @@ from vpptwin.train.env.base_env import BaseEnv
 from vpptwin.train.env.device_env import make_device_env
 from vpptwin.train.env.tasks import TASKS, check_task_name
 from vpptwin.train.env.vpp_env import make_env
+from vpptwin.twin.spec import TwinSpec
 
 
 def find_device(name: str) -> torch.device:
@@ -37,22 +38,23 @@ def open_env(
     device: torch.device,
     fault_folder: Path | None = None,
     schedule: Schedule | None = None,
+    spec: TwinSpec | None = None,
 ) -> BaseEnv:
     """The environment of a run, as `make_env`: on the device, by Warp, or on the processor's cores, by numba."""
     if config.on_device:
-        return make_device_env(config, device, schedule)
-    return make_env(config, fault_folder, schedule)
+        return make_device_env(config, device, schedule, spec)
+    return make_env(config, fault_folder, schedule, spec)
 
 
 def make_task_env(
-    task: str = "flip", twin: str = "nominal", num_envs: int = 1, seed: int = 0, noise: float = 1.0,
+    task: str = "flip", twin: str | Path | TwinSpec = "nominal", num_envs: int = 1, seed: int = 0, noise: float = 1.0,
     randomize: Sequence[str] = (), device: str = "cpu", engine: str | None = None,
 ) -> BaseEnv:  # fmt: skip
     """The TorchRL environment of a task, at full difficulty; `make_env` takes all that a run can be told.
 
     Args:
         task: one of `vpptwin.train.env.tasks.TASKS`.
-        twin: `nominal`, `typical` or a twin YAML.
+        twin: `nominal`, `typical`, a twin YAML, or what `load_twin` or a diagnosis' `result.twin` gives.
         num_envs: simulations flown side by side.
         seed: of everything random.
         noise: of the sensors; 1 for that of vehicle.yaml, 0 for none.
@@ -64,9 +66,11 @@ def make_task_env(
         InputError: if there is no such task, twin or effect, or the device is missing.
     """
     check_task_name(task)
+    spec = twin if isinstance(twin, TwinSpec) else None
+    name = str(twin) if spec is None else spec.name
     config = TrainConfig(
-        copy.deepcopy(TASKS[task]), twin=twin, num_envs=num_envs, seed=seed, noise=noise, randomize=list(randomize),
+        copy.deepcopy(TASKS[task]), twin=name, num_envs=num_envs, seed=seed, noise=noise, randomize=list(randomize),
         desynchronize=False, device=device, engine=engine,
     )  # fmt: skip
     check_values(config)
-    return open_env(config, find_device(device))
+    return open_env(config, find_device(device), spec=spec)

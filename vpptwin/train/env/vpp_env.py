@@ -179,30 +179,34 @@ def to_arrays(tensors: Mapping[str, torch.Tensor]) -> dict[str, np.ndarray]:
     return {name: value.numpy().copy() for name, value in tensors.items()}
 
 
-def make_env(config: TrainConfig, fault_folder: Path | None = None, schedule: Schedule | None = None) -> VppEnv:
+def make_env(
+    config: TrainConfig, fault_folder: Path | None = None, schedule: Schedule | None = None,
+    spec: TwinSpec | None = None,
+) -> VppEnv:  # fmt: skip
     """The environment of a run.
 
     Args:
         config: of the run.
         fault_folder: where simulations that diverged are written; None to only count them.
         schedule: of training; None for flying at full difficulty.
+        spec: a twin that was read, in place of that of the configuration.
 
     Raises:
         InputError: if the twin is unknown or not a drone, or an effect is not in its catalogue.
     """
-    spec, flown = configure_env(config, schedule, fault_folder)
+    spec, flown = configure_env(config, schedule, fault_folder, spec)
     return VppEnv(Twin(spec, config.num_envs, active=flown.randomized, num_threads=config.sim_threads), flown)
 
 
 def configure_env(
-    config: TrainConfig, schedule: Schedule | None, faults: Path | None = None
+    config: TrainConfig, schedule: Schedule | None, faults: Path | None = None, spec: TwinSpec | None = None
 ) -> tuple[TwinSpec, EnvConfig]:
     """The twin of a run, and what an environment flies with it; arguments as `make_env`.
 
     Raises:
         InputError: as `make_env`.
     """
-    spec = load_trained_twin(config)
+    spec = load_trained_twin(config) if spec is None else spec
     _ = spec.vehicle  # refuses other rigs
     randomized = name_effects(config.randomize, spec.catalogue, spec.intervals)
     check_effects({effect: {} for effect in randomized}, spec.catalogue, "randomize")

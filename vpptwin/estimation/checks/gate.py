@@ -1,0 +1,68 @@
+"""Before a twin stands beside a log: does another unit, sign or order of its columns explain the motion far better?
+
+Three tests. A joint's velocity is the slope of its position. A joint that a servo drives follows its target. A joint
+that a force drives moves as the MJCF's inertia, weight and friction ask for. Columns are refused where they contradict
+that as they are read, whatever gain or load would be wrong within reason, and where one other reading agrees with it.
+What is merely explained badly is left for the diagnosis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from vpptwin.estimation.checks.balance import compare_forces
+from vpptwin.estimation.checks.readings import Misread, compose_entry, locate_line, name_columns
+from vpptwin.estimation.checks.slopes import compare_ranges, compare_slopes, compare_targets
+from vpptwin.estimation.series import Measurements
+from vpptwin.logs.flight import Flight
+from vpptwin.system.doubt import object_to
+from vpptwin.system.errors import InputError
+from vpptwin.twin.spec import TwinSpec
+
+
+def check_columns(spec: TwinSpec, flights: Sequence[Flight], measurements: Sequence[Measurements]) -> None:
+    """Refuse logs of which some columns are in another unit, sign or order than the twin reads them in.
+
+    Args:
+        spec: the twin; the drone's topics have units of their own, which reading checks.
+        flights: as they were read.
+        measurements: what was measured on them.
+
+    Raises:
+        InputError: with the line of the twin to change.
+    """
+    if not (spec.robot.signals.joints or spec.robot.signals.bodies):
+        return
+    for flight in flights:
+        for test in (compare_slopes, compare_targets, compare_ranges):
+            misread = next(test(spec, flight), None)
+            if misread is not None:
+                object_to(compose_error(spec, flight, misread))
+                break
+    flight, misread = compare_forces(spec, flights, measurements)
+    if misread is not None:
+        object_to(compose_error(spec, flight, misread))
+
+
+def compose_error(spec: TwinSpec, flight: Flight, misread: Misread) -> InputError:
+    """One line: what was found, what was expected, which line of the twin to change and how."""
+    reading, signals = misread.reading, spec.robot.signals
+    lines, numbers = [], []
+    for name in dict.fromkeys(column.name for column in reading.columns):
+        changes = [change for change in reading.changes if change.column.name == name]
+        lines.append(compose_entry(spec, flight, name, changes))
+        numbers.append(locate_line(spec, changes[0].column.group, name))
+    found = f"{flight.path}: {name_columns(reading.columns)} seem{'s' * (len(reading.columns) == 1)} to be "
+    found += f"{reading.looks}: {misread.why}"
+    if not all(lines):
+        topic = getattr(signals, reading.columns[0].group)[reading.columns[0].name]
+        action = f"exchange the names on {topic} where the log is written, or in the MJCF"
+    else:
+        known = [str(number) for number in numbers if number is not None]
+        where = (
+            f"line{'s' * (len(known) > 1)} {' and '.join(known)} of {spec.name}"
+            if known
+            else f"the signals of {spec.name}"
+        )
+        action = f"change {where} to {' and '.join(f'`{line}`' for line in lines)}"
+    return InputError(found, reading.expected, action)
