@@ -117,7 +117,7 @@ def test_a_wheel_is_where_its_velocity_leads(tmp_path: Path, monkeypatch: pytest
     led = np.cumsum(0.01 * led)
     assert np.abs(np.interp(columns["t"], turned.time, turned.value) - led).max() < 2.0
     assert turned.std == pytest.approx(speed.std)
-    assert any("joint wheel: logged by its velocity alone" in warning for warning in measured.warnings)
+    assert any("joint wheel: only its velocity is logged" in warning for warning in measured.warnings)
     assert main(["plot", "log.csv", "--twin", str(spec.model_file.with_name("rig.yaml")), "--out", "plot.svg"]) == 0
     assert "wheel position [rad]" in (tmp_path / "plot.svg").read_text()
 

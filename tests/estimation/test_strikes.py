@@ -56,7 +56,7 @@ def test_a_blow_is_found_and_named(body: str, height: float, what: str) -> None:
     assert spans[0] == pytest.approx([8.0, 8.0], abs=0.06)
     assert spans[0, 0] < 7.99
     assert spans[0, 1] > 8.01
-    assert told == [f"strikes {what} at 8.0 s: windows there are left out"]
+    assert told == [f"impacts on {what} at 8.0 s: windows there are left out"]
     usable = usable_starts(replace(measured, strikes=spans), np.array([7.0, 7.7, 7.9, 8.1, 8.3]), 0.3)
     assert usable.tolist() == [True, False, False, False, True]
 

@@ -148,7 +148,7 @@ def test_what_holds_a_body_is_not_found_as_a_force(tmp_path: Path, log: Flight) 
         diagnose(spec, [log])
     with pytest.raises(InputError, match=line):
         score_twin(spec, [log], progress=False)
-    assert any("no force is found of that" in warning for warning in read_measurements(spec, log).warnings)
+    assert any("such a force is not a candidate" in warning for warning in read_measurements(spec, log).warnings)
 
 
 def test_on_a_floor_without_commands_it_is_driven(tmp_path: Path) -> None:

@@ -104,7 +104,7 @@ def test_positions_of_lerobot_are_asked_about(tmp_path: Path, size: float, held:
     guesses = guess_signals(model, survey(f"{write_lerobot(tmp_path / 'set', size)}#0")[1])
     assert not any(guess.sure for guess in guesses)
     for guess in guesses:
-        assert any("nobody says the unit" in doubt for doubt in guess.doubts), guess.target
+        assert any("the log does not state the unit" in doubt for doubt in guess.doubts), guess.target
         assert any("is held at exactly" in doubt and "100 of its travel" in doubt for doubt in guess.doubts) == held
 
 

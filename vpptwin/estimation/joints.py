@@ -40,8 +40,8 @@ SPANS = (0.02, 0.25)
 EXPLAINED, LATEST = 0.5, 0.1
 """Share of a disagreement from which on lateness is its reason; the latest that a stream may be [s]."""
 WHEEL = (
-    "joint {}: logged by its velocity alone, of which its position here is the integral from 0 on; nothing in the MJCF "
-    "depends on where it is"
+    "joint {}: only its velocity is logged; its position is the integral from 0 on, and nothing in the MJCF depends "
+    "on it"
 )
 TARGET = "{}: {} of {} targets are taken whole turns from where they were logged, on the turn that its joint is on"
 DRIFT = 1.0
@@ -69,7 +69,7 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     for each in spec.robot.tracked:
         if kinds[each.joint] == FREE and not each.led:
             vet_pushes(spec, flight, each, measurements)
-    warnings += [f"{line}; no force is found of that" for _, line in find_held(spec, measurements)]
+    warnings += [f"{line}; such a force is not a candidate" for _, line in find_held(spec, measurements)]
     return replace(measurements, warnings=(*read.warnings, *warnings, *tell_cut(spans), *tell_gaps(measurements)))
 
 
@@ -131,7 +131,7 @@ def read_joint(spec: TwinSpec, flight: Flight, tracked: Tracked, read: Collected
     if "position" not in stream.values:
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}",
-            "it: velocities alone do for wheels only",
+            "it: velocities alone are enough for wheels only",
             "record it",
         )
     read.spans[label] = (float(stream.time[0]), float(stream.time[-1]))

@@ -63,7 +63,7 @@ def find_strikes(
     if not len(spans) or not len(starts) or touch(spans, starts - LOOK_BACK, starts + window).mean() > RARE:
         return none, [], blows
     what, when = sorted(set().union(*struck.values())), ", ".join(f"{begin + SPAN * STEP:.1f}" for begin in spans[:, 0])
-    return spans, [f"strikes {', '.join(what)} at {when} s: windows there are left out"], blows
+    return spans, [f"impacts on {', '.join(what)} at {when} s: windows there are left out"], blows
 
 
 def join_rows(time: np.ndarray, rows: Sequence[int]) -> np.ndarray:

@@ -112,12 +112,12 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
         guess.doubts += [f"{', '.join(near[:4])}: the model's actuator takes {wanted}"] * bool(near)
         target, seen = guess.fields.get("effort"), driven.fields.get("position")
         if target and seen and not target.is_constant and np.array_equal(target.values, seen.values, True):
-            guess.doubts.append(f"{target.label} and {seen.label} are one and the same: was it asked for, or measured?")
+            guess.doubts.append(f"{target.label} and {seen.label} are identical: commanded, or measured?")
             guess.sure = False
     for guess in guesses if not any(command.fields for command in commands) else ():
         position = guess.fields.get("position")
         if position is not None and position.alone and COMMANDED & set(split_words(position.topic)):
-            guess.doubts.append(f"the log is called {position.topic}: was {position.label} measured, or asked for?")
+            guess.doubts.append(f"the log is called {position.topic}: was {position.label} measured, or commanded?")
             guess.sure = False
     doubt_travel(model, guesses, commands)
     return [*guesses, *commands]
@@ -248,7 +248,7 @@ def part_by_time(guess: Guess, rivals: Sequence[Signal]) -> tuple[Signal, list[S
         if correlation > ALIKE and abs(lag) > 0.5 / min(last.rate, other.rate):
             text = f"{second.label} follows {first.label} by {1e3 * abs(lag):.0f} ms (r {correlation:.2f})"
             if measure_roughness(first) > ROUGHER * measure_roughness(second):
-                guess.doubts.append(f"{text}: which was asked for, or is {second.label} a filtered {first.label}?")
+                guess.doubts.append(f"{text}: which was commanded, or is {second.label} a filtered {first.label}?")
             else:
                 guess.leading.append(first)
                 guess.reasons.append(text)
@@ -311,7 +311,7 @@ def check_unit(guess: Guess, quantity: str, signal: Signal, expected: str) -> di
     if not signal.unit or signal.unit == expected:
         return {}
     if signal.unit == UNSAID:
-        guess.doubts.append(f"nobody says the unit of {signal.label}: {expected}, deg, or {TRAVEL}?")
+        guess.doubts.append(f"the log does not state the unit of {signal.label}: {expected}, deg, or {TRAVEL}?")
         return {}
     if signal.unit in UNITS and UNITS[signal.unit][0] == expected:
         guess.reasons.append(f"{signal.label} is in {signal.unit}")

@@ -270,7 +270,7 @@ def advise_meanwhile(bar: tqdm, deadline: Deadline) -> Callable[[int], None]:
         bar.update(steps)
         if not told and deadline.passed > LONG:
             told = True
-            shorter = f"to make it shorter {SHORTER}; --limit 10m keeps what is found by then"
+            shorter = f"to shorten it, {SHORTER}; --limit 10m keeps what is found by then"
             bar.write(f"vpptwin: {tell_time(LONG)} so far; {shorter}", sys.stderr)
 
     return report

@@ -48,7 +48,7 @@ NOTHING = 0.005
 """Shares of the error up to this are written as less than one percent."""
 WEAK = 0.05
 """Confidence below which a cause or a rival is folded away."""
-MOST_RIVALS = 2
+MOST_RIVALS = 1
 """Rivals that the headline names at most."""
 SHARE = (
     "Percentages are shares of the held-out excess chi²: the squared error on held-out data beyond sensor noise. "
@@ -247,7 +247,7 @@ def describe_cause(cause: Cause, meanings: Mapping[str, str], chi2: float = math
         what += "," if wrong else ", which the twin lacks,"
     shown = [rival for rival in cause.also_explained_by if rival.confidence >= WEAK]
     named = [name_effect(rival.effect, meanings) for rival in shown[:MOST_RIVALS]]
-    more = [f"{len(shown) - MOST_RIVALS} other effects"] if len(shown) > MOST_RIVALS else []
+    more = [count_effects(len(shown) - MOST_RIVALS)] if len(shown) > MOST_RIVALS else []
     rivals = join_words(named + more, "or")
     also = f"; so might {rivals}" if rivals else ""
     told = f"{what} {describe_gain(cause, chi2)}{also}."
@@ -307,8 +307,13 @@ def describe_rivals(cause: Cause, meanings: Mapping[str, str]) -> str:
     shown = [rival for rival in cause.also_explained_by if rival.confidence >= WEAK]
     told = [f"{name_effect(rival.effect, meanings)}, {describe_distance(rival)}" for rival in shown]
     if weak := len(cause.also_explained_by) - len(shown):
-        told.append(f"{weak} {'other effect' if weak == 1 else 'other effects'} below {100.0 * WEAK:.0f} % each")
+        told.append(f"{count_effects(weak)} below {100.0 * WEAK:.0f} % each")
     return f"It may instead be {'; or '.join(told)}."
+
+
+def count_effects(number: int) -> str:
+    """So many other effects, in words."""
+    return f"{number} other effect{'s' if number != 1 else ''}"
 
 
 def describe_distance(rival: Rival) -> str:

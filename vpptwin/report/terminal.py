@@ -56,7 +56,7 @@ def list_findings(verdict: Verdict, summary: Summary) -> Table:
     for heading, lines in (
         ("percentages", [summary.share] if summary.share else []),
         ("confidence", summary.certainty),
-        ("weak", [f"{len(summary.weak)} more below 5 %, in the report"] if summary.weak else []),
+        ("weak", [f"causes below 5 %: {len(summary.weak)}, in the report"] if summary.weak else []),
         ("error", [summary.error]),
         ("unexplained", [summary.unexplained]),
         ("ruled out", [f"{len(verdict.cleared)} candidates; the report has the bounds"] if verdict.cleared else []),

@@ -98,4 +98,4 @@ def test_what_only_changes_another_effect_needs_it(moving: Search) -> None:
     """Friction that depends on the direction is not there to be seen where there is no friction."""
     effect = asymmetry(JointScale("a", "on a"))
     found = weigh_strength(moving, moving.start, Unknown(effect, effect.parameters[0], 0.0))
-    assert found == Unseen("a.asymmetry", "it only changes a.coulomb, which is not there")
+    assert found == Unseen("a.asymmetry", "it only changes a.coulomb, which the twin lacks")

@@ -22,8 +22,8 @@ WHEEL = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 0.
 
 @pytest.mark.parametrize(
     ("setting", "told"),
-    [("", "equality 0 of the MJCF gives (solimp up to 0.95)"),
-     ('name="mimic" solimp="0.5 0.6 0.001"', "equality mimic of the MJCF gives (solimp up to 0.6)"),
+    [("", "equality 0 of the MJCF is soft (solimp up to 0.95)"),
+     ('name="mimic" solimp="0.5 0.6 0.001"', "equality mimic of the MJCF is soft (solimp up to 0.6)"),
      ('solimp="0.9999 0.9999 0.001"', None), ('active="false"', None)],
 )  # fmt: skip
 def test_soft_couplings_are_told(setting: str, told: str | None) -> None:

@@ -72,7 +72,7 @@ def test_nobody_trains_on_a_rig_of_other_people(tmp_path: Path) -> None:
             "Log next: motion that separates rail_x.coulomb from viscous friction (rail_x.viscous): slower",
         ),
         (replace(NAMED, unseen=[Unseen("air.drag", "too slow")]), "Log next: motion that excites air.drag;"),
-        (replace(NAMED, unseen=[Unseen("a.b", "it only changes c, which is not there")]), "as a check."),
+        (replace(NAMED, unseen=[Unseen("a.b", "it only changes c, which the twin lacks")]), "as a check."),
         (NAMED, "Log next: another motion, as a check. Nothing here depends on it"),
     ],
 )

@@ -258,6 +258,9 @@ def test_rivals_in_words() -> None:
     meanings = {"air.drag": "aerodynamic drag on the craft"}
     also = "; so might aerodynamic drag on the craft (air.drag)."
     assert headline(verdict, meanings).endswith(f"of the error{also}")
+    three = [Rival(effect, 0.2, 0.5) for effect in ("air.drag", "rail_x.viscous", "rail_x.stiction")]
+    crowd = replace(VERDICT, causes=[replace(CAUSE, also_explained_by=three, confidence=0.4)])
+    assert headline(crowd, meanings).endswith("; so might aerodynamic drag on the craft (air.drag) or 2 other effects.")
     sure, others = read(verdict)
     assert sure == "rail_x.coulomb: 55 % probable."
     assert others == (

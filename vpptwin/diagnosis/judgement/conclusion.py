@@ -33,7 +33,7 @@ CONTRADICTED = (
 STIFF = 0.99
 """Least impedance (`solimp`) of an equality that couples as a gear does."""
 SOFT = (
-    "equality {} of the MJCF gives (solimp up to {:.4g}): if it is rigid, such as a gear or a linkage, "
+    "equality {} of the MJCF is soft (solimp up to {:.4g}): if it is rigid, such as a gear or a linkage, "
     'solimp="0.9999 0.9999 0.001" solref="0.004 1" make it so'
 )
 UNCONFIRMED = "{}: held-out data alone do not show it, so it is only suggested"

@@ -146,7 +146,7 @@ def follow(material: Material, selection: Selection, deadline: Deadline) -> Sele
     search, fit = material.search, selection.fit
     if search.bench.track is None or not search.sticks(fit.effects):
         return selection
-    what = "fitting what sticks about the motion that is likeliest with it"
+    what = "fitting about the most probable motion"
     return replace(selection, fit=deadline.attempt([what], partial(search.follow, fit), fit))
 
 
@@ -248,7 +248,7 @@ def infer(
     for line in foresee(bench, scout, unknowns).describe():
         announce(line)
     inferred = infer_causes(bench, scout, unknowns, stage, deadline)  # which holds the deadline from here on
-    stage("judging every stretch by fits to the others")
+    stage("predicting every stretch by fits to the others")
     calm = rescale(measurements, bench, inferred.scales)
     search = Search(build_bench(spec, calm, few, *given, make_twin=make_twin), unknowns)
     held_out = open_held_out(spec, calm, starts, progress, criteria, make_twin)

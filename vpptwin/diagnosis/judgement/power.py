@@ -40,7 +40,7 @@ def weigh_strength(search: Search, fit: Fit, strength: Unknown) -> Cleared | Uns
     effect, parameter = strength.effect, strength.parameter
     lacking = [other for other in effect.modifies if other not in fit.effects]
     if effect.modifies and len(lacking) == len(effect.modifies):
-        return Unseen(effect.id, f"it only changes {' or '.join(lacking)}, which is not there")
+        return Unseen(effect.id, f"it only changes {' or '.join(lacking)}, which the twin lacks")
     i = next(i for i, u in enumerate(search.unknowns) if u.key == strength.key)
     solution = solve_hypothesis(fit.about, search.unknowns, fit.effects | {effect.id})
     scatter = scatter_by_stretch(fit.about, solution, search.bench)

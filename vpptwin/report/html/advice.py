@@ -102,7 +102,7 @@ def advise_flight(verdict: Verdict, meanings: Mapping[str, str]) -> str:
         cause, rival = max(rivals, key=lambda pair: pair[1].confidence)
         apart = f"{name_effect(cause.effect, meanings)} from {name_effect(rival.effect, meanings)}"
         return f"Log next: motion that separates {apart}: slower, faster or elsewhere than in these logs."
-    hidden = [suspect for suspect in verdict.unseen if "which is not there" not in suspect.reason]
+    hidden = [suspect for suspect in verdict.unseen if "which the twin lacks" not in suspect.reason]
     if hidden:
         named = join_words([name_effect(suspect.effect, meanings) for suspect in hidden[:3]])
         more = f" and {len(hidden) - 3} more" if len(hidden) > 3 else ""
