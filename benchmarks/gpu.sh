@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Installs, tests and measures on a card, in one run of some ten minutes: benchmarks/gpu.sh [FOLDER]
+# Installs, tests and measures on a GPU, in one run of some ten minutes: benchmarks/gpu.sh [FOLDER]
 #
 # Results go to FOLDER (gpu-results): machine.txt, tests.txt, throughput.json, diagnosis.json, training.json. What fails
 # is told and the rest goes on; the exit code is that of the tests. SECONDS_LEFT (570) bounds all of it; INSTALLED=1

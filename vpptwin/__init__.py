@@ -1,4 +1,4 @@
-"""vpptwin: the simulation twin that tells you what it gets wrong.
+"""vpptwin: a simulation twin that finds what your simulation gets wrong.
 
 What is listed here is imported when it is asked for: `import vpptwin` costs nothing.
 """
