@@ -118,3 +118,14 @@ def test_where_all_is_linear_a_path_changes_nothing(effects: str) -> None:
     assert along.std == pytest.approx(plain.std, rel=1e-2)
     told = foretell(along.windows, along.windows.at, along.posterior.scales)
     np.testing.assert_allclose(along.path, told, atol=0.1)
+
+
+def test_along_a_path_candidates_are_also_screened_under_calm_process_noise() -> None:
+    """Strong pulses on one degree of freedom take what a missing effect does; calm ones leave it to be told."""
+    toy = simulate(draw_linear("ab", 4), {("a", "size"): 1.0}, 4)
+    pushed = replace(toy, pushes=np.concatenate([toy.pushes[..., :2], np.zeros((*toy.noise.shape, 2))], axis=2))
+    for followed in ("", "a"):
+        fitter = Fitter(replace(pushed, followed=frozenset(followed)), [name_unknown(name) for name in "ab"])
+        found = fitter.screen(fitter.fit(frozenset("a"), {}))
+        assert len(found) == (2 if followed else 1)
+        assert np.all(np.diag(found[-1]) >= np.diag(found[0]) * (1.0 - 1e-9))

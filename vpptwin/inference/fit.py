@@ -43,6 +43,8 @@ class Unknown:
         step: difference by which a derivative is taken from a value.
         tolerance: standard deviation where its effect is not suspected: what a well-built rig shows unremarked.
         slight: distance from the mean up to which it is no finding.
+        fine: share of `step` that is taken along a path: pulses there leave of a parameter's effect only what differs
+            from theirs, which a large step would overstate.
     """
 
     key: Key
@@ -53,6 +55,7 @@ class Unknown:
     step: Callable[[float], float]
     tolerance: float = 0.0
     slight: float = 0.0
+    fine: float = 1.0
 
 
 class Simulator(Protocol):
@@ -211,8 +214,12 @@ class Fitter:
         rows += [(u.mean, u.tolerance, max(u.low, u.mean - r), min(u.high, u.mean + r)) for u, r in reach]
         return Prior(*np.array(rows).reshape(-1, 4).T)
 
-    def screen(self, fit: Fit) -> np.ndarray:
-        """Inner products of parameters, trials and what a fit misses, (P + T + 1, P + T + 1), under its noise."""
+    def screen(self, fit: Fit) -> list[np.ndarray]:
+        """Inner products of parameters, trials and what a fit misses, (P + T + 1, P + T + 1), under its noise.
+
+        Along a path those under a process noise as calm as its prior expects, too: pulses take all that a missing cause
+        does, and with as strong ones as that needs no slope leads to it.
+        """
         scales, values, nuisance, path = fit.posterior.scales, fit.values, self.scout.respond(fit.values), None
         if fit.path is not None:
             path = smooth(self.scout, values, [np.zeros((len(nuisance.gram), fit.path.shape[1]))], nuisance, scales)
@@ -226,7 +233,10 @@ class Fitter:
             changed = residuals[0] - residuals[1:]
         every, residual = np.concatenate([slopes, changed]), nuisance.restore(residual, path)
         windows = nuisance.merge(scales).compress(every, residual, np.zeros(len(every)))
-        return self._share * windows.eliminate(Scales(np.zeros(1), scales.process)).information
+        strengths = [scales.process]
+        if path is not None:
+            strengths.append(np.minimum(scales.process, np.log(self.simulator.scale_prior.process_median)))
+        return [self._share * windows.eliminate(Scales(np.zeros(1), each)).information for each in strengths]
 
     def fit(
         self, effects: frozenset[str], start: Point, scales: Scales | None = None, steps: int = STEPS,
@@ -304,10 +314,11 @@ def differentiate(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Residual (K, M) at a point, derivatives of the simulation by parameters, (P, K, M), and where, (P,)."""
     at = np.array([values.get(u.key, u.mean) for u in unknowns])
-    moved = np.array([np.clip(v + u.step(v), u.low, u.high) for u, v in zip(unknowns, at)])
+    steps = [u.step(v) * (1.0 if path is None else u.fine) for u, v in zip(unknowns, at)]
+    moved = np.array([np.clip(v + step, u.low, u.high) for u, v, step in zip(unknowns, at, steps)])
     points = [dict(values), *({**values, u.key: float(v)} for u, v in zip(unknowns, moved))]
-    residuals, steps = simulator.residuals(points, values, path), moved - at
-    return residuals[0], (residuals[0] - residuals[1:]) / np.where(steps == 0.0, 1.0, steps)[:, None, None], at
+    residuals, apart = simulator.residuals(points, values, path), moved - at
+    return residuals[0], (residuals[0] - residuals[1:]) / np.where(apart == 0.0, 1.0, apart)[:, None, None], at
 
 
 def pick_pivots(matrix: np.ndarray, least: float, most: int) -> list[int]:

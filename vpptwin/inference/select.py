@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 
 import numpy as np
 
@@ -166,15 +167,21 @@ class Searcher:
             e for e in self.effects
             if e not in fit.effects | barred and (not self.modifies.get(e) or set(self.modifies[e]) & fit.effects)
         ]  # fmt: skip
-        starts = self.rank(fit, free)
+        ranks = [self.rank(fit, free, information) for information in self.fitter.screen(fit)]
         # What these measurements tell nothing of would only be its prior.
-        names = [e for e in sorted(free, key=lambda e: (-starts[e][0][0], e)) if starts[e][0][0] > LEAST]
-        most = IN_PLACE if barred else PROMISING if fit.effects else FEW
-        return [(e, [point for gain, point in starts[e][:STARTS] if gain > LEAST]) for e in names[:most]]
+        orders = [
+            [e for e in sorted(free, key=lambda e: (-starts[e][0][0], e)) if starts[e][0][0] > LEAST]
+            for starts in ranks
+        ]
+        names = list(dict.fromkeys(e for row in zip_longest(*orders) for e in row if e is not None))
+        most, each = IN_PLACE if barred else PROMISING if fit.effects else FEW, STARTS // len(ranks)
+        return [
+            (e, [point for starts in ranks for gain, point in starts[e][:each] if gain > LEAST]) for e in names[:most]
+        ]
 
-    def rank(self, fit: Fit, effects: Sequence[str]) -> dict[str, list[tuple[float, Point]]]:
+    def rank(self, fit: Fit, effects: Sequence[str], information: np.ndarray) -> dict[str, list[tuple[float, Point]]]:
         """Half the square that effects would take away in the linear model, and parameters there, the best first."""
-        fitter, information = self.fitter, self.fitter.screen(fit)
+        fitter = self.fitter
         unknowns, last = fitter.unknowns, len(information) - 1
         at = np.array([fit.values.get(u.key, u.mean) for u in unknowns] + [0.0] * len(fitter.trials))
         old = [i for i, u in enumerate(unknowns) if u.key[0] in fit.effects]

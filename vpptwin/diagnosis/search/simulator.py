@@ -19,7 +19,7 @@ from vpptwin.diagnosis.search.likelihood import (
     start_std,
 )
 from vpptwin.diagnosis.search.suspects import Unknown as Suspect
-from vpptwin.effects import find_effect
+from vpptwin.effects import Stage, find_effect
 from vpptwin.inference.covariance import factor
 from vpptwin.inference.fit import Key, Point, Unknown
 from vpptwin.inference.model import Layout, Nuisance, ScalePrior
@@ -30,6 +30,8 @@ FARTHEST = 1e5
 """Assumed noises by which a simulation can miss: what diverges is wrong, however far."""
 LESS = 1.0 / 3.0
 """Share of its tolerance that is believed of what only takes energy out: a model without friction knows of none."""
+FINE = 0.1
+"""Share of its typical size by which what acts smoothly is moved for a derivative along a path."""
 KEPT = 8
 """Responses that are kept."""
 CALM, VARIED = 0.2, 2.0
@@ -141,8 +143,11 @@ def find_floor(bench: Bench, channel: int) -> float:
 
 def name_unknown(suspect: Suspect) -> Unknown:
     """A suspect as `inference` asks for it."""
-    parameter, share = suspect.parameter, LESS if suspect.effect.dissipative else 1.0
+    parameter, effect = suspect.parameter, suspect.effect
+    share = LESS if effect.dissipative else 1.0
+    rough = suspect.is_limit or effect.placed or effect.stage in (Stage.FRICTION, Stage.SLIP)
     return Unknown(
         suspect.key, suspect.nominal, suspect.width, parameter.low, parameter.high, suspect.step_from,
         0.0 if suspect.is_limit else share * parameter.tolerance, CRITERIA.tolerances * parameter.tolerance,
+        1.0 if rough else FINE,
     )  # fmt: skip
