@@ -57,6 +57,10 @@ class ScalePrior:
     process_median: np.ndarray
     process_std: np.ndarray
 
+    def strain(self, scales: Scales) -> float:
+        """By how many of its standard deviations the log of process noise is above its median, at the most."""
+        return float(np.max((scales.process - np.log(self.process_median)) / self.process_std, initial=0.0))
+
     def cost(self, scales: Scales) -> float:
         """Minus twice the log of the prior density, up to a constant."""
         return float(
@@ -304,7 +308,7 @@ def find_mode(information: np.ndarray, at: np.ndarray, prior: Prior) -> tuple[np
     )
     square = information[-1, -1] - 2.0 * along @ step + step @ gram @ step
     away = (at + step - prior.mean) / prior.std
-    return at + step, precision, float(square + away @ away)
+    return np.clip(at + step, prior.low, prior.high), precision, float(square + away @ away)
 
 
 def infer(

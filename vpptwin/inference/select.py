@@ -16,11 +16,13 @@ FEW, PROMISING, IN_PLACE = 14, 7, 5
 MOST_TIMES = 10.0
 """Times that a trial may be as strong."""
 REACH = 12.0
-"""Log evidence by which a brief fit may be behind the best to go on."""
+"""Log weight by which a brief fit may be behind the best to go on."""
 LEAST = 0.5
 """Half of a square that an effect must take away to be fitted at all."""
 STARTS = 2
 """Places from which a candidate is fitted."""
+USUAL, STRAINED = 1.0, 1.0
+"""Strain that is usual, and growth of the log of what evidence is divided by per standard deviation beyond."""
 MOST_EFFECTS, MOST_SETS = 6, 12
 """Effects in a set at most, and times that the most probable set is extended or exchanged at most."""
 
@@ -29,26 +31,42 @@ MOST_EFFECTS, MOST_SETS = 6, 12
 class Comparison:
     """Sets of effects that were fitted, and their weights.
 
+    No simulation is exact, so that log evidence is divided by a temper (Miller and Dunson, Robust Bayesian inference
+    via coarsening, JASA 114, 2019): the more, the stronger process noise has to be to make up for what no set explains.
+    What then decides is the loss itself, by how much predictions improve (Bissiri, Holmes and Walker, A general
+    framework for updating belief distributions, JRSS B 78, 2016).
+
     Attributes:
-        fits: set → fit.
-        temper: by which log evidence is divided: no simulation is exact (Miller and Dunson, Robust Bayesian inference
-            via coarsening, JASA 114, 2019).
+        temper: by which log evidence is divided at least.
         odds: effect → log of the prior odds that it is there.
+        predict: log weight that a fit gains by how well it predicts, over nothing.
+        strain: by how many standard deviations of its prior a fit's process noise is stronger than expected.
+        fits: set → fit.
     """
 
     temper: float
     odds: Mapping[str, float]
+    predict: Callable[[Fit], float] = lambda fit: 0.0
+    strain: Callable[[Fit], float] = lambda fit: 0.0
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+    _gains: dict[frozenset[str], float] = field(default_factory=dict)
 
     def add(self, fit: Fit) -> None:
         """Keep a fit if it is the best of its set."""
         known = self.fits.get(fit.effects)
         if known is None or fit.evidence > known.evidence:
-            self.fits[fit.effects] = fit
+            self.fits[fit.effects], self._gains[fit.effects] = fit, self.predict(fit)
+
+    @property
+    def divisor(self) -> float:
+        """By what log evidence is divided: `temper`, and more from twice the usual spread of process noise on."""
+        least = min((self.strain(fit) for fit in self.fits.values()), default=0.0)
+        return self.temper * float(np.exp(STRAINED * max(least - USUAL, 0.0)))
 
     def log_weight(self, effects: frozenset[str]) -> float:
         """Of a set that was fitted, up to a constant."""
-        return self.fits[effects].evidence / self.temper + sum(self.odds[effect] for effect in sorted(effects))
+        told = self.fits[effects].evidence / self.divisor + self._gains[effects]
+        return told + sum(self.odds[effect] for effect in sorted(effects))
 
     @property
     def ordered(self) -> list[frozenset[str]]:
@@ -126,14 +144,15 @@ class Searcher:
             best = max(fits, key=lambda each: each.evidence)
             if best.path is None or not self.fitter.is_slight(best, effect):
                 brief.append(best)
-        top = max([each.evidence for each in brief], default=0.0)
         for each in brief:
-            if each.evidence > max(top - REACH * self.comparison.temper, fit.evidence - REACH):
+            self.comparison.add(each)
+        weights = [self.comparison.log_weight(each.effects) for each in brief]
+        least = max([*weights, self.comparison.log_weight(effects)]) - REACH
+        for each, weight in zip(brief, weights):
+            if weight > least:
                 found = self.try_set(each.effects, each.values, each.posterior.scales, each)
                 if found.path is not None and self.comparison.best is found:
                     self.lessen(found, effects)  # where a path is followed both must be as likely as can be
-            else:
-                self.comparison.add(each)
 
     def lessen(self, fit: Fit, rest: frozenset[str]) -> None:
         """Fit some effects of a set, from where all of them are."""

@@ -11,12 +11,12 @@ import pytest
 
 from tests.builders import CART, Unsearched, guess, lay_bench, load_known, load_rig
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
-from vpptwin.diagnosis.judgement.conclusion import HARMING, OUTWEIGHED, UNFELT, doubt_gain, list_passing, order_causes
+from vpptwin.diagnosis.judgement.conclusion import HARMING, OUTWEIGHED, UNFELT, doubt_gain, list_passing
 from vpptwin.diagnosis.judgement.diagnose import Material, keep_better
 from vpptwin.diagnosis.judgement.errors import PredictionErrors
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.selection import Selection
-from vpptwin.diagnosis.judgement.verdict import Cause, Rival
+from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import friction, joint
@@ -218,9 +218,3 @@ def test_what_a_cause_must_take_away(chi2: tuple[float, float], errors: tuple[fl
             return chi2[len(values)]
 
     assert doubt_gain(Judges(), {}, {KEY: 0.3}) == doubt
-
-
-def test_what_held_out_log_does_not_show_comes_last() -> None:
-    """Shares of 0.1, 0.3 and 0.2, of which held-out windows show the first and the last."""
-    causes = [Cause(name, 0.89, {}, gain, [], "") for name, gain in (("a", 0.1), ("b", 0.3), ("c", 0.2))]
-    assert [cause.effect for cause in order_causes(causes, {"b"})] == ["c", "a", "b"]

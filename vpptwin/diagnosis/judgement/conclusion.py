@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -69,18 +69,19 @@ def conclude(
         seen = weigh_causes(spec, measurements, fit.values, criteria)
         denied = {s.effect: s.tell(criteria) for s in seen if s.contradicts(criteria)}
     left = max(unexplained.share, (after.chi2 - 1.0) / max(before.chi2 - 1.0, 1e-9)) if unexplained.significant else 0.0
-    sober = 1.0 - (1.0 - criteria.sober) * min(2.0 * left, 1.0)
+    sober = 1.0 if compared else 1.0 - (1.0 - criteria.sober) * min(2.0 * left, 1.0)
     if fit.effects and held_out.errors.worsens({}, fit.values):
         sober = criteria.sober
     beyond = 0.0 if compared else after.chi2
     doubtful = selection.reduced or is_doubtful(search, held_out, fit, unexplained, beyond)
     most = criteria.suggested if doubtful else 1.0
-    causes, doubts = [], dict.fromkeys(selection.unconfirmed, UNCONFIRMED)
+    causes, order, doubts = [], {}, dict.fromkeys(selection.unconfirmed, UNCONFIRMED)
     doubts |= dict.fromkeys(selection.unrivalled & fit.effects, UNRIVALLED)
     doubts |= dict.fromkeys(list_passing(search, fit), PASSING)
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, {})
+        order[effect] = held_out.errors.gain(fit.values, rest) if compared else gain
         if guessed and not compared and (doubt := doubt_gain(held_out, rest, fit.values)):
             doubts[effect] = doubts.get(effect, doubt) if doubt == UNFELT else doubt
         selected = selection.confidence(effect)
@@ -88,7 +89,7 @@ def conclude(
         if effect in denied or doubts.get(effect) == HARMING:
             confidence = min(confidence, criteria.sober)
         causes.append(tell_cause(search, selection, effect, confidence, gain, interval))
-    causes = order_causes(causes, selection.unconfirmed)
+    causes = sorted(causes, key=lambda cause: (cause.effect in selection.unconfirmed, -order[cause.effect]))
     alike = {rival.effect for cause in causes for rival in cause.also_explained_by}
     cleared, unseen = judge_power(search, fit, fit.effects | alike)
     if selection.not_done:  # what comes near nothing beside these may do so beside all causes
@@ -162,11 +163,6 @@ def tell_cause(
     rivals = [replace(rival, confidence=doubt * rival.confidence) for rival in selection.rivals[effect]]
     found = {u.parameter.name: estimate(u, selection.fit) for u in own}
     return Cause(effect, confidence, found, gain, rivals, own[0].effect.summary, interval)
-
-
-def order_causes(causes: Sequence[Cause], unconfirmed: Collection[str]) -> list[Cause]:
-    """What explains most first; what held-out log does not show comes last, whatever it takes away there by chance."""
-    return sorted(causes, key=lambda cause: (cause.effect in unconfirmed, -cause.gain))
 
 
 def doubt_gain(held_out: HeldOut, without: Mapping[Key, float], values: Mapping[Key, float]) -> str:

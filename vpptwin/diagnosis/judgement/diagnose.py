@@ -12,7 +12,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
-from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import (
     HORIZONS_S,
     build_bench,
@@ -34,6 +33,7 @@ from vpptwin.diagnosis.judgement.leftover import judge_leftover
 from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
 from vpptwin.diagnosis.judgement.verdict import Cause, Cut, Experiment, Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
+from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.information import choose_judges, measure_information
 from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.diagnosis.search.prospects import foresee
@@ -171,7 +171,13 @@ def keep_better(material: Material, selection: Selection) -> Selection:
     Whatever the search believed: this is what is written.
     """
     search, held_out, fit = material.search, material.held_out, selection.fit
-    while fit.effects and held_out.breaks_promise({}, fit.values, search.sticks(fit.effects)):
+
+    def breaks_promise(fit: Fit) -> bool:
+        if material.inferred is not None:
+            return held_out.errors.grow({}, fit.values)
+        return held_out.breaks_promise({}, fit.values, search.sticks(fit.effects))
+
+    while fit.effects and breaks_promise(fit):
         weakest = min(sorted(fit.effects), key=selection.evidence.__getitem__)
         left = fit.effects - {weakest}
         fit = search.follow(search.reframe(search.without(fit, weakest))) if left else search.start
@@ -245,31 +251,21 @@ def infer(
     scout = (
         bench if every < 2 else build_bench(spec, measurements, [s[::every] for s in few], *given, make_twin=make_twin)
     )
+    ahead = open_held_out(spec, measurements, starts, progress, criteria, make_twin).errors
     for line in foresee(bench, scout, unknowns).describe():
         announce(line)
-    inferred = infer_causes(bench, scout, unknowns, stage, deadline)  # which holds the deadline from here on
+    inferred = infer_causes(bench, scout, ahead, unknowns, stage, deadline)  # which holds the deadline from here on
     stage("predicting every stretch by fits to the others")
     calm = rescale(measurements, bench, inferred.scales)
     search = Search(build_bench(spec, calm, few, *given, make_twin=make_twin), unknowns)
     held_out = open_held_out(spec, calm, starts, progress, criteria, make_twin)
     while True:
-        held_out.divide(*(deal(inferred, search.bench, each) for each in (held_out.short, held_out.errors.bench)))
+        held_out.divide(*((inferred.deal(each), inferred.fitted) for each in (held_out.short, held_out.errors.bench)))
         values = inferred.chosen.values
         slight = [e for e in sorted(inferred.chosen.effects) if not is_material(search, held_out, values, e)]
         if not slight:
             return inferred, calm, search, held_out
         inferred = inferred.drop_weakest(slight)
-
-
-def deal(inferred: Inferred, fitted: Bench, bench: Bench) -> tuple[np.ndarray, list[dict[Key, float]]]:
-    """Folds of a bench's windows, each that of the fitted window which starts last before it."""
-    fold = np.empty(len(bench.windows), int)
-    for k, (flight, start) in enumerate(zip(bench.windows.flight, bench.windows.start)):
-        rows = np.flatnonzero(fitted.windows.flight == flight)
-        before = rows[fitted.windows.start[rows] <= start + 1e-9]
-        last = before[np.argmax(fitted.windows.start[before])] if len(before) else rows[0]
-        fold[k] = inferred.fold[last]
-    return fold, inferred.fitted
 
 
 def is_followed(spec: TwinSpec) -> bool:

@@ -15,6 +15,9 @@ from vpptwin.diagnosis.judgement.blocks import blocks_of, resample, sum_blocks, 
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.twin.robot.manifold import difference_poses
 
+TOLD = 3.0
+"""Observations for which the errors of a block count, over all horizons: those near, and those far ahead."""
+
 
 class PredictionErrors:
     """Errors of twins over the horizon.
@@ -83,6 +86,14 @@ class PredictionErrors:
             with np.errstate(invalid="ignore"):  # a block without measurements is NaN
                 found[name] = 0.5 * np.log(sums[1] / sums[0])
         return found
+
+    def gain(self, values: Mapping[Key, float], without: Mapping[Key, float] | None = None) -> float:
+        """Log of the error of the pose `without` some, or all, of `values` over that with them, summed over blocks.
+
+        The mean over horizons: half of a Gaussian loss with unknown scale, every block counting as `TOLD` observations.
+        """
+        rows = [ratio for name, ratio in self.ratios(without or {}, values).items() if name in ("m", "rad")]
+        return -TOLD * float(np.nansum(np.nanmean(np.stack(rows), axis=(0, 2)))) if rows and values else 0.0
 
     @cached_property
     def _noise(self) -> dict[str, np.ndarray]:

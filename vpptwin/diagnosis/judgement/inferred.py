@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key
+from vpptwin.diagnosis.judgement.errors import PredictionErrors
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.selection import Alternative, Selection
 from vpptwin.diagnosis.judgement.verdict import Rival
@@ -16,6 +18,7 @@ from vpptwin.diagnosis.search.hypotheses import compare_hypotheses
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.estimation.windows import Windows
 from vpptwin.inference.fit import Fit, Fitter
 from vpptwin.inference.model import Scales, predict_folds
 from vpptwin.inference.select import Comparison
@@ -39,15 +42,20 @@ class Inferred:
 
     Attributes:
         fitter: of hypotheses.
+        windows: that were fitted.
+        ahead: errors of predictions.
         comparison: sets of effects with their fits.
         fold: of every window, (K,).
         chosen: the set that becomes the causes.
         fitted: its parameters as fitted to all folds but one, fold by fold.
-        gains: cause → gain of out-of-fold log predictive density that it brings beside the others.
+        gains: cause → out-of-fold gain that it brings beside the others: of log predictive density, divided as evidence
+            is, and of errors.
         stopped: whether the search was cut short.
     """
 
     fitter: Fitter
+    windows: Windows
+    ahead: PredictionErrors
     comparison: Comparison
     fold: np.ndarray
     chosen: Fit
@@ -81,10 +89,24 @@ class Inferred:
         return self.choose(self.without(self.chosen, min(sorted(among), key=self.gains.__getitem__)))
 
     def _predict(self, fit: Fit) -> tuple[float, np.ndarray]:
-        """Out-of-fold log predictive density of all windows, and parameters fold by fold, (F, P)."""
+        """Log weight of predictions on stretches that no fit has seen, and parameters fold by fold, (F, P)."""
         prior = self.fitter.simulator.scale_prior
         density, means = predict_folds(fit.windows, fit.prior, prior, fit.posterior, self.fold)
-        return float(density.sum()), means
+        fitted = [dict(zip(fit.values, row.tolist())) for row in means]
+        bench = copy(self.ahead.bench)
+        bench.folds = self.deal(bench), fitted
+        gain = PredictionErrors(bench).gain(fit.values)
+        return float(density.sum()) / self.comparison.divisor + gain, means
+
+    def deal(self, bench: Bench) -> np.ndarray:
+        """Folds of a bench's windows, (K,), each that of the fitted window which starts last before it."""
+        windows = self.windows
+        fold = np.empty(len(bench.windows), int)
+        for k, (flight, start) in enumerate(zip(bench.windows.flight, bench.windows.start)):
+            rows = np.flatnonzero(windows.flight == flight)
+            before = rows[windows.start[rows] <= start + 1e-9]
+            fold[k] = self.fold[before[np.argmax(windows.start[before])] if len(before) else rows[0]]
+        return fold
 
 
 def cut_folds(flight: np.ndarray, start: np.ndarray, window: float) -> np.ndarray:
@@ -101,9 +123,12 @@ def cut_folds(flight: np.ndarray, start: np.ndarray, window: float) -> np.ndarra
 
 
 def infer_causes(
-    bench: Bench, scout: Bench, unknowns: Sequence[Unknown], stage: Callable[[str], None], deadline: Deadline
-) -> Inferred:
+    bench: Bench, scout: Bench, ahead: PredictionErrors, unknowns: Sequence[Unknown], stage: Callable[[str], None],
+    deadline: Deadline,
+) -> Inferred:  # fmt: skip
     """Compare hypotheses on a bench of all windows; some of them, which may be all, scout for candidates.
+
+    Errors `ahead` say how well each predicts.
 
     Raises:
         Stopped: before every candidate has been tried once.
@@ -112,11 +137,11 @@ def infer_causes(
     def tell(effects: frozenset[str]) -> None:
         stage(f"comparing hypotheses ({', '.join(sorted(effects)) or 'nothing wrong'})")
 
-    comparison, fitter, stopped = compare_hypotheses(bench, unknowns, scout, deadline, tell)
+    comparison, fitter, stopped = compare_hypotheses(bench, unknowns, scout, deadline, tell, predict=ahead.gain)
     windows = bench.windows
     fold = cut_folds(windows.flight, windows.start, windows.steps * windows.dt)
     deadline.held = True
-    best = Inferred(fitter, comparison, fold, comparison.best, [], {}, stopped).choose(comparison.best)
+    best = Inferred(fitter, windows, ahead, comparison, fold, comparison.best, [], {}, stopped).choose(comparison.best)
     while harmful := [effect for effect, gain in best.gains.items() if gain <= 0.0]:
         best = best.drop_weakest(harmful)
     return best

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from vpptwin.diagnosis.search.suspects import Trial as Start
 from vpptwin.diagnosis.search.suspects import Unknown as Suspect
 from vpptwin.diagnosis.search.suspects import list_trials
 from vpptwin.effects import Stage
-from vpptwin.inference.fit import Fitter, Trial, Unknown
+from vpptwin.inference.fit import Fitter, Key, Trial, Unknown
 from vpptwin.inference.select import Comparison, Searcher
 from vpptwin.system.deadline import Deadline, Stopped
 
@@ -29,6 +29,7 @@ COLUMNS = 1.5
 def compare_hypotheses(
     bench: Bench, suspects: Sequence[Suspect], scout: Bench, deadline: Deadline | None = None,
     told: Callable[[frozenset[str]], None] = lambda effects: None, along: Collection[str] = (),
+    predict: Callable[[Mapping[Key, float]], float] = lambda values: 0.0,
 ) -> tuple[Comparison, Fitter, bool]:  # fmt: skip
     """Sets of effects fitted to a bench's windows with their posterior probabilities, and whether that was cut short.
 
@@ -39,6 +40,7 @@ def compare_hypotheses(
         deadline: when to stop with what was found so far; None for never.
         told: called before every fit.
         along: effects of which hypotheses are simulated along their likeliest path, see `BenchSimulator`.
+        predict: log weight that parameters gain by how well they predict.
 
     Raises:
         Stopped: before every candidate has been tried once.
@@ -53,7 +55,10 @@ def compare_hypotheses(
     odds = {name: usual + (COLUMNS if name in bench.of_sensors or ZERO in effect.writes else 0.0)
             for name, effect in effects.items()}  # fmt: skip
     odds |= {name: float(np.log(p / (1.0 - p))) for name, p in bench.spec.priors.items() if name in odds and p > 0.0}
-    comparison = Comparison(TEMPER, odds)
+    prior = whole.scale_prior
+    comparison = Comparison(
+        TEMPER, odds, lambda fit: predict(fit.values), lambda fit: prior.strain(fit.posterior.scales)
+    )
     modifies = {name: effect.modifies for name, effect in effects.items() if effect.modifies}
     deadline = deadline or Deadline()
 
