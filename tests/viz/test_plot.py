@@ -20,10 +20,20 @@ from vpptwin.logs.flight import Flight, Stream
 from vpptwin.robots.planar_drone.vehicle import load_vehicle
 from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import load_twin
+from vpptwin.viz.command import name_apart
 from vpptwin.viz.plots.curves import name_runs, read_curve, tell_runs
 from vpptwin.viz.plots.figure import INK, open_figure
 from vpptwin.viz.plots.palette import BRIGHT, TARGET, TWIN, VERMILION, to_rgb
-from vpptwin.viz.plots.panels import Line, Panel, Story, differentiate, tell_flight
+from vpptwin.viz.plots.panels import (
+    COLOURS,
+    TWIN_NAME,
+    Line,
+    Panel,
+    Story,
+    differentiate,
+    lay_over,
+    tell_flight,
+)
 from vpptwin.viz.plots.plot import THEMES, brighten, draw_story, write_story
 
 FLIP = Path(__file__).parents[2] / "demo/flights/flip.mcap"
@@ -301,3 +311,18 @@ def test_curves_of_a_short_run_are_seen(tmp_path: Path) -> None:
         draw_story(figure, story)
         (line,) = figure.axes[0].get_lines()
     assert line.get_marker() == "o"
+
+
+def test_every_twin_has_its_line(tmp_path: Path) -> None:
+    """Called by its file where there are several, each in a colour of its own; by all of it where files are alike."""
+    time = np.arange(3.0)
+    stories = [
+        Story("log", [Panel("q", [Line("log", time, time, "#000000"), Line(TWIN_NAME, time, k * time, "#0072B2")])])
+        for k in range(2)
+    ]
+    (panel,) = lay_over(stories, ["rig", "twin"]).panels
+    assert [(line.name, line.colour) for line in panel.lines[1:]] == [("rig", COLOURS[0]), ("twin", COLOURS[1])]
+    assert [float(line.values[-1]) for line in panel.lines[1:]] == [0.0, 2.0]
+    assert name_apart(["a/rig.yaml", "out/twin.yaml"]) == ["rig", "twin"]
+    assert name_apart(["a/twin.yaml", "b/twin.yaml"]) == ["a/twin.yaml", "b/twin.yaml"]
+    assert name_apart([None]) == ["twin"]

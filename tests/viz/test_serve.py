@@ -327,3 +327,11 @@ def wait_for(condition: Callable[[], bool]) -> None:
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.01)
+
+
+def test_a_port_is_taken_or_refused() -> None:
+    """The one that is named; a second server on it is told so."""
+    first = Server()
+    with pytest.raises(InputError, match=rf"--port {first.port} \(Address already in use\); expected .* a free port"):
+        Server(port=first.port)
+    first.close()

@@ -92,7 +92,7 @@ def run_play(options: argparse.Namespace) -> None:
     if options.live is None:
         restart = None if options.free else options.restart
         source = LogSource(options.log, options.twin, restart, options.topic_map, options.effects)
-        play_log(source, options.html, options.video, options.host, options.viewer == "mujoco")
+        play_log(source, options.html, options.video, options.host, options.viewer == "mujoco", options.port)
         return
     if options.log:
         raise InputError(f"{options.log[0]} and --live {options.live}", "a log or a policy", "leave one out")
@@ -102,7 +102,7 @@ def run_play(options: argparse.Namespace) -> None:
     from vpptwin.robots.planar_drone.display.live import fly_live
     from vpptwin.train.evaluate.live import LiveFlight
 
-    fly_live(LiveFlight(options.live), options.host)
+    fly_live(LiveFlight(options.live), options.host, options.port)
 
 
 def run_plot(options: argparse.Namespace) -> None:
@@ -115,7 +115,9 @@ def run_plot(options: argparse.Namespace) -> None:
     if not options.force:
         check_own([out])
     check_target(out)
-    plot(LogSource(options.source, options.twin, restart, options.topic_map, options.effects), out, options.theme)
+    first, *others = options.twin or [None]
+    source = LogSource(options.source, first, restart, options.topic_map, options.effects)
+    plot(source, out, options.theme, others)
 
 
 def run_convert(options: argparse.Namespace) -> None:

@@ -202,11 +202,12 @@ def describe_logs(begin: Begin) -> None:
     add("--viewer", choices=["meshcat", "mujoco"], default="meshcat", help=viewers)
     add("--live", type=Path, metavar="CKPT", help="instead of a log, a policy in real time; flip and push it")
     add("--host", default="127.0.0.1", help="address to serve on; by default only this machine can connect")
+    add("--port", type=int, default=0, help="port to serve on; the default is any that is free")
 
     add = begin("plot", "draw a log over time, the twin beside it, or training curves", commands.run_plot)
     sources = "a log (or its split files), or folders of training runs"
     add("source", type=Path, nargs="+", metavar="SOURCE", help=sources)
-    add_beside(add)
+    add_beside(add, several=True)
     add("--out", type=Path, help="picture, .png or .svg, or interactive page, .html (default SOURCE.png)")
     add("--theme", choices=["light", "dark"], default="light", help="of PNG and page (default light)")
 
@@ -287,9 +288,11 @@ def add_logs(add: Add, number: str = "+") -> None:
     add_as_is(add)
 
 
-def add_beside(add: Add) -> None:
-    """Arguments of commands that show the twin beside a log."""
-    add("--twin", help="`nominal`, `typical` or a twin YAML, driven by the log's commands")
+def add_beside(add: Add, several: bool = False) -> None:
+    """Arguments of commands that show the twin, or `several`, beside a log."""
+    more = "; may be repeated" if several else ""
+    twin = f"`nominal`, `typical` or a twin YAML, driven by the log's commands{more}"
+    add("--twin", action="append" if several else "store", help=twin)
     add_effects(add)
     add("--restart", type=float, default=0.5, help="seconds between the twin's restarts (default 0.5)")
     add("--free", action="store_true", help="let the twin run freely from the start")

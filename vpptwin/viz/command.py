@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from vpptwin.estimation.checks.gate import check_columns
@@ -53,6 +53,14 @@ class LogSource:
         return flight, prediction, spec
 
 
+def name_apart(twins: Sequence[str | None]) -> list[str]:
+    """What the legend calls twins: one alone `twin`, several by their files as far as these differ."""
+    if len(twins) == 1:
+        return ["twin"]
+    stems = [Path(str(twin)).stem for twin in twins]
+    return [str(twin) if stems.count(stem) > 1 else stem for twin, stem in zip(twins, stems)]
+
+
 def look_over(spec: TwinSpec, flight: Flight) -> list[str]:
     """Warnings about a log that no twin flies; where a twin could not fly it, those of reading it."""
     try:
@@ -62,8 +70,9 @@ def look_over(spec: TwinSpec, flight: Flight) -> list[str]:
 
 
 def play_log(
-    source: LogSource, html: Path | None, video: Path | None = None, host: str = "127.0.0.1", in_window: bool = False
-) -> None:
+    source: LogSource, html: Path | None, video: Path | None = None, host: str = "127.0.0.1", in_window: bool = False,
+    port: int = 0,
+) -> None:  # fmt: skip
     """Play one recording.
 
     Args:
@@ -71,6 +80,7 @@ def play_log(
         html: the page to write; without it, and without `video`, a server shows it until Ctrl-C.
         video: the animation to write, .gif, .webp or .mp4; None for none.
         host: address of this machine to serve on.
+        port: to serve on; 0 for any that is free.
         in_window: show it in MuJoCo's own viewer instead of serving it.
     """
     from vpptwin.viz.pages.playback import play_live, play_page  # neither of the two commands waits for the other's
@@ -91,26 +101,28 @@ def play_log(
     if html is not None:
         print(play_page(flight, prediction, html, spec=spec))
     if html is None and video is None:
-        play_live(flight, prediction, spec=spec, host=host)
+        play_live(flight, prediction, spec=spec, host=host, port=port)
 
 
-def plot(source: LogSource, out: Path, theme: str = "light") -> None:
+def plot(source: LogSource, out: Path, theme: str = "light", others: Sequence[str] = ()) -> None:
     """Draw one recording, or training runs.
 
     Args:
         source: the recording, and a twin beside it, or folders of training runs.
         out: .png, .svg or .html.
         theme: `light` or `dark`.
+        others: more twins beside the same recording.
     """
     from vpptwin.viz.plots.curves import is_run, tell_runs
-    from vpptwin.viz.plots.panels import tell_flight
+    from vpptwin.viz.plots.panels import lay_over, tell_flight
     from vpptwin.viz.plots.plot import check_format, write_story
 
     check_format(out)
     files = [file for given in source.files for file in expand(given)]
     runs = [file for file in files if is_run(file)]
     if not runs:
-        story = tell_flight(*source.read())
+        twins = [source.twin, *others] if source.twin is not None else [None]
+        story = lay_over([tell_flight(*replace(source, twin=twin).read()) for twin in twins], name_apart(twins))
     elif len(runs) < len(files) or source.twin is not None:
         other = f"--twin {source.twin}" if source.twin is not None else next(str(s) for s in files if s not in runs)
         raise InputError(f"{runs[0]} is a training run, and {other}", "logs or runs", "plot them one after the other")

@@ -71,8 +71,9 @@ def name_twin(spec: TwinSpec, prediction: Prediction) -> str:
 
 
 def play_live(
-    flight: Flight, prediction: Prediction | None = None, *, spec: TwinSpec | None = None, host: str = LOOPBACK
-) -> None:
+    flight: Flight, prediction: Prediction | None = None, *, spec: TwinSpec | None = None, host: str = LOOPBACK,
+    port: int = 0,
+) -> None:  # fmt: skip
     """Serve the page of `play_page` on an address of this machine, print where, open it, until Ctrl-C.
 
     The other arguments are those of play_page.
@@ -81,7 +82,7 @@ def play_live(
         InputError: if the log has nothing to draw, or there is no such address.
     """
     page = draw_page(flight, prediction, spec or load_twin()).encode()
-    server = Server(host, {"": lambda body: ("text/html; charset=utf-8", page)})
+    server = Server(host, {"": lambda body: ("text/html; charset=utf-8", page)}, port=port)
     with until_interrupted(), closing(server):
         tell_address(server, "shows the flight. Ctrl-C here to end.")
         for _ in keep_going():

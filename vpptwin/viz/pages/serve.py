@@ -43,19 +43,23 @@ class Server:
         host: address of this machine to listen on; by default only this machine can connect.
         gets: path below the secret → what answers a GET.
         posts: path below the secret → what answers a POST.
+        port: to listen on; 0 for any that is free.
 
     Raises:
         InputError: if there is no such address.
     """
 
     def __init__(
-        self, host: str = LOOPBACK, gets: Mapping[str, Answer] | None = None, posts: Mapping[str, Answer] | None = None
-    ) -> None:
+        self, host: str = LOOPBACK, gets: Mapping[str, Answer] | None = None, posts: Mapping[str, Answer] | None = None,
+        port: int = 0,
+    ) -> None:  # fmt: skip
         try:
-            self._sockets = bind_sockets(0, host, family=socket.AF_UNSPEC)[:1]
-        except OSError as error:
-            found = f"--host {host} ({error.strerror or error})"
-            raise InputError(found, "an address of this machine", f"leave it out for {LOOPBACK}") from error
+            self._sockets = bind_sockets(port, host, family=socket.AF_UNSPEC)[:1]
+        except (OSError, OverflowError) as error:
+            named = f" --port {port}" if port else ""
+            found = f"--host {host}{named} ({getattr(error, 'strerror', None) or error})"
+            expected = f"an address of this machine{', and a free port of it' if port else ''}"
+            raise InputError(found, expected, f"leave out {'--port' if port else f'it for {LOOPBACK}'}") from error
         self.host, self.port = host, int(self._sockets[0].getsockname()[1])
         self.secret = secrets.token_urlsafe(16)
         scene = TEMPLATES.get_template("scene.html").render().encode()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -14,13 +15,15 @@ from vpptwin.twin.robot.robot import Robot, by_robot
 from vpptwin.twin.robot.signals import Tracked
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.viz.plots.figure import INK
-from vpptwin.viz.plots.palette import TWIN
+from vpptwin.viz.plots.palette import GREEN, ORANGE, PURPLE, TWIN, VERMILION
 from vpptwin.viz.scene.show import place_body
 
 if TYPE_CHECKING:
     from vpptwin.estimation.replay import Prediction
     from vpptwin.logs.flight import Flight
 
+TWIN_NAME, COLOURS, DASHES = "twin", (TWIN, VERMILION, GREEN, ORANGE, PURPLE), ("--", ":", "-.")
+"""What the legend calls a twin; colours and dashes of several."""
 SMOOTHED = 0.07
 """Window of the quadratic that velocities are the slope of, s."""
 
@@ -138,6 +141,20 @@ def tell_body(robot: Robot, tracked: Tracked, flight: Flight, prediction: Predic
     return panels
 
 
+def lay_over(stories: Sequence[Story], twins: Sequence[str]) -> Story:
+    """One story of a log with several twins: the lines of each, called and coloured by it."""
+    first, *_ = stories
+    panels = []
+    for i, panel in enumerate(first.panels):
+        lines = [line for line in panel.lines if line.name != TWIN_NAME]
+        for k, (story, twin) in enumerate(zip(stories, twins, strict=True)):
+            own = [line for line in story.panels[i].lines if line.name == TWIN_NAME]
+            colour, dash = COLOURS[k % len(COLOURS)], DASHES[k % len(DASHES)]
+            lines += [replace(line, name=twin, colour=colour, dash=dash) for line in own]
+        panels.append(replace(panel, lines=lines))
+    return replace(first, panels=panels)
+
+
 def measured(time: np.ndarray, values: np.ndarray) -> Line:
     """The log's line."""
     return Line("log", time, values, INK)
@@ -149,7 +166,7 @@ def twin_line(prediction: Prediction | None, kind: str, joint: int) -> list[Line
         return []
     values = np.array(getattr(prediction, kind)[:, joint], dtype=float)
     values[np.searchsorted(prediction.time, prediction.restarts[1:] - 1e-9).clip(0, len(values) - 1)] = np.nan
-    return [Line("twin", prediction.time, values, TWIN, "--")]
+    return [Line(TWIN_NAME, prediction.time, values, TWIN, "--")]
 
 
 def differentiate(time: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -99,9 +99,10 @@ class LivePage:
     Args:
         commands: what may be asked for.
         host: address of this machine to listen on.
+        port: of it; 0 for any that is free.
     """
 
-    def __init__(self, commands: Iterable[str], host: str = LOOPBACK) -> None:
+    def __init__(self, commands: Iterable[str], host: str = LOOPBACK, port: int = 0) -> None:
         self.asked: SimpleQueue[str] = SimpleQueue()
         self.state: dict[str, float] = {}
         known = set(commands)
@@ -118,13 +119,13 @@ class LivePage:
             "": lambda body: ("text/html; charset=utf-8", page),
             "state": lambda body: ("application/json", json.dumps(self.state).encode()),
         }
-        self.server = Server(host, gets, {"": ask})
+        self.server = Server(host, gets, {"": ask}, port)
 
 
-def fly_live(flight: LiveFlight, host: str = LOOPBACK) -> None:
+def fly_live(flight: LiveFlight, host: str = LOOPBACK, port: int = 0) -> None:
     """Fly in real time until Ctrl-C, and print where to look: a page on an address of this machine."""
     env, vehicle = flight.env, flight.env.twin.vehicle
-    panel = LivePage(flight.commands, host)
+    panel = LivePage(flight.commands, host, port)
     with until_interrupted(), closing(panel.server):
         stage = LiveStage(Visualizer(window=panel.server), env.twin.spec.model, vehicle)
         about = "shows the flight, with buttons and keys to flip and push it. Ctrl-C here to end."
