@@ -123,7 +123,7 @@ NAMES = [
     ("position", {"arm": "arm"}, {"arm": SWING, "arm_2": DELAYED}, {"arm": "arm_2", "arm!": "arm"}, "follows arm by"),
     ("position", {"arm": "arm"}, {"arm": DELAYED, "arm_2": SWING}, {"arm": "arm", "arm!": "arm_2"}, "follows arm_2 by"),
     # Nothing tells what was asked for from what was measured where both are one column, logged twice.
-    ("position", {"arm": "arm"}, {"arm_pos": SWING, "arm_action_pos": SWING}, {"arm": "arm_pos"}, "one and the same"),
+    ("position", {"arm": "arm"}, {"arm_pos": SWING, "arm_action_pos": SWING}, {"arm": "arm_pos"}, "are identical"),
 ]  # fmt: skip
 
 
