@@ -173,6 +173,17 @@ class Effect:
         return self.members or (self.target,)
 
     @property
+    def kind(self) -> str:
+        """What it is, whatever its law: effects of one kind on one place do much the same. "" where it is its own."""
+        if self.stage in (Stage.FRICTION, Stage.SLIP):
+            return "dry friction"
+        if self.dissipative:
+            return "damping"
+        if self.follows == "command change":
+            return "a late response"
+        return "a wrong gain" if any(name.startswith("actuator.") for name in self.writes) else ""
+
+    @property
     def brakes(self) -> bool:
         """Whether it is dry friction, or damping in proportion to speed."""
         return self.stage is Stage.FRICTION or (self.dissipative and self.stage is Stage.CONSTANT)

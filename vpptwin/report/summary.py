@@ -66,6 +66,8 @@ SIZE_FITS = re.compile(
     r"^(?!.*\b(?:wrong|of|that|whose)\b.* (?:on|in|from|between|along) )(.+?)( (?:on|in|from|between) .*)$"
 )
 """Summaries such as `dry friction on the horizontal rail`, in which `of 0.31 N` fits before the place."""
+SURER = 0.05
+"""By how much surer a kind must be than a cause of it to be told."""
 
 
 @dataclass(frozen=True)
@@ -290,6 +292,8 @@ def describe_certainty(
     """
     sure = f"{name_effect(cause.effect, meanings)}: {100.0 * cause.confidence:.3g} % probable"
     sure = sure[0].upper() + sure[1:] if cause.effect in meanings else sure
+    if cause.kind_confidence > cause.confidence + SURER:
+        sure += f" ({cause.kind} of any law: {100.0 * cause.kind_confidence:.3g} %)"
     if partial:
         sure += ", only suggested, because not every rival was fitted"
     else:

@@ -162,7 +162,9 @@ def tell_cause(
     doubt = confidence / max(selection.confidence(effect), 1e-12)
     rivals = [replace(rival, confidence=doubt * rival.confidence) for rival in selection.rivals[effect]]
     found = {u.parameter.name: estimate(u, selection.fit) for u in own}
-    return Cause(effect, confidence, found, gain, rivals, own[0].effect.summary, interval)
+    kind, sure = selection.kinds.get(effect, ("", 0.0))
+    sure = min(max(doubt * sure, confidence), search.criteria.most_confident) if kind else 0.0
+    return Cause(effect, confidence, found, gain, rivals, own[0].effect.summary, interval, 0, kind, sure)
 
 
 def doubt_gain(held_out: HeldOut, without: Mapping[Key, float], values: Mapping[Key, float]) -> str:

@@ -191,11 +191,20 @@ def select_inferred(inferred: Inferred, search: Search) -> Selection:
     instead = {effect: [Alternative(f.effects, f.values) for _, f in row] for effect, row in rivals.items()}
     evidence = {e: 2.0 * (chosen.evidence - comparison.fits[chosen.effects - {e}].evidence) for e in chosen.effects}
     probability = {e: comparison.inclusion(frozenset({e})) for e in chosen.effects}
+    kinds = {effect: judge_kind(search, comparison, effect) for effect in chosen.effects}
     ranked = sorted(first.items(), key=lambda item: -item[1])
     told = {effect: [rival for rival, _ in row] for effect, row in rivals.items()}
     cut = ("fitting further sets of effects",) if inferred.stopped else ()
-    found = Selection(fit, ranked, told, instead, evidence, probability=probability, not_done=cut)
+    found = Selection(fit, ranked, told, instead, evidence, probability=probability, kinds=kinds, not_done=cut)
     return replace(found, unrivalled=chosen.effects) if cut else found
+
+
+def judge_kind(search: Search, comparison: Comparison, name: str) -> tuple[str, float]:
+    """An effect's kind, and the probability that anything of that kind is at its place."""
+    effects = {unknown.effect.id: unknown.effect for unknown in search.unknowns}
+    own = effects[name]
+    same = {e.id for e in effects.values() if own.kind and (e.kind, e.places) == (own.kind, own.places)}
+    return own.kind, comparison.inclusion(frozenset(same | {name}))
 
 
 def average_std(comparison: Comparison, chosen: Fit) -> dict[Key, float]:

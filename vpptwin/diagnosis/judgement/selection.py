@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -58,6 +58,7 @@ class Selection:
         unrivalled: causes in whose place no other was fitted.
         not_done: what was left out as it was stopped, in words.
         probability: cause → posterior probability that it is there, where all hypotheses were compared at once.
+        kinds: cause → its kind, and the probability that anything of that kind is there.
     """
 
     fit: Fit
@@ -71,6 +72,7 @@ class Selection:
     unrivalled: frozenset[str] = frozenset()
     not_done: tuple[str, ...] = ()
     probability: Mapping[str, float] | None = None
+    kinds: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
     def reduce_to(self, fit: Fit) -> Selection:
         """The selection with a fit of fewer causes: with all of them held-out log was predicted worse."""

@@ -37,7 +37,8 @@ class Rival:
 class Cause:
     """A named effect; `gain` is the share of the held-out excess chi2 that it removes, with its 90 % interval.
 
-    Of a contact's, which so many `blows` show, each held out in its turn, of the error there.
+    Of a contact's, which so many `blows` show, each held out in its turn, of the error there. `kind_confidence` is the
+    probability that anything of its `kind` acts there, such as dry friction of some law.
     """
 
     effect: str
@@ -48,6 +49,8 @@ class Cause:
     summary: str = ""
     gain_interval: tuple[float, float] | None = None
     blows: int = 0
+    kind: str = ""
+    kind_confidence: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -170,7 +173,10 @@ class Verdict:
     def as_dict(self) -> dict[str, object]:
         """The verdict under the keys of verdict.json (docs/diagnose.md)."""
         # `blows` only where there are some: what reads verdicts elsewhere may know no such key.
-        causes = [{k: v for k, v in asdict(c).items() if k != "summary" and (k != "blows" or v)} for c in self.causes]
+        sparse = ("blows", "kind", "kind_confidence")
+        causes = [
+            {k: v for k, v in asdict(c).items() if k != "summary" and (k not in sparse or v)} for c in self.causes
+        ]
         content: dict[str, object] = {
             "logs": self.logs, "twin": self.twin,
             "samples": {"windows": self.windows, "held_out_windows": self.held_out_windows},
