@@ -12,7 +12,7 @@ from vpptwin.diagnosis.evidence.contradiction import weigh_causes
 from vpptwin.diagnosis.evidence.logged_inputs import describe_input_error, describe_turned, describe_weak_inputs
 from vpptwin.diagnosis.evidence.other_motors import describe_other_motors
 from vpptwin.diagnosis.evidence.runs import Key
-from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.leftover import share_left
 from vpptwin.diagnosis.judgement.power import judge_power
 from vpptwin.diagnosis.judgement.selection import Selection
@@ -68,8 +68,10 @@ def conclude(
     if guessed:
         seen = weigh_causes(spec, measurements, fit.values, criteria)
         denied = {s.effect: s.tell(criteria) for s in seen if s.contradicts(criteria)}
-    left = max(unexplained.share, (after.chi2 - 1.0) / max(before.chi2 - 1.0, 1e-9)) if unexplained.significant else 0.0
-    sober = 1.0 if compared else 1.0 - (1.0 - criteria.sober) * min(2.0 * left, 1.0)
+    left = max(unexplained.share, (after.chi2 - 1.0) / max(before.chi2 - 1.0, 1e-9))
+    if compared:  # what leaves half of the error ahead is judged as its probability says
+        left = share_ahead(before, after) - 0.5
+    sober = 1.0 - (1.0 - criteria.sober) * float(np.clip(2.0 * left, 0.0, 1.0)) * unexplained.significant
     if fit.effects and held_out.errors.worsens({}, fit.values):
         sober = criteria.sober
     beyond = 0.0 if compared else after.chi2
@@ -119,6 +121,12 @@ def conclude(
         misfit=find_misfit(search, held_out, fit, after.chi2) if missed else None,
         warnings=warnings,
     )
+
+
+def share_ahead(before: Score, after: Score) -> float:
+    """Least share of the error of the pose that is left, of all horizons."""
+    pairs = [(before.position_rmse_m, after.position_rmse_m), (before.angle_rmse_rad, after.angle_rmse_rad)]
+    return min((float(np.min(np.divide(a, b))) for b, a in pairs if a and b), default=1.0)
 
 
 def list_passing(search: Search, fit: Fit) -> set[str]:
