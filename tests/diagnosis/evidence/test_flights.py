@@ -128,7 +128,7 @@ def test_windows_are_as_short_as_a_lone_log_asks_for(
     assert len(split.held_out[0]) == judges
     if window < 1.0:
         np.testing.assert_allclose(split.held_out[0], SETTLE + window * np.array([2, 5, 8]))
-        assert f"windows of {window:g} s" in flight.warnings[0]
+        assert f"windows have {window:g} s" in flight.warnings[0]
 
 
 def test_several_logs_of_some_seconds_keep_the_usual_window(tmp_path: Path) -> None:
