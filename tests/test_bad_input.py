@@ -163,7 +163,6 @@ def test_play_refuses_an_unwritable_page(path: str, shelf: Path, refusals: Refus
         (["diagnose", "flight.mcap", "--out", "x", "--twyn", "y"], ["--twyn", "did you mean --twin?"]),
         (["export", "flip", "--format", "onx"], ["invalid choice: 'onx'", "did you mean onnx?"]),
         (["export", "flip", "--format", "rust"], ["'mjlab'); expected vpptwin export"]),
-        ([], ["required: COMMAND"]),
         (["play", "flight.mcap", "--restart", "soon"], ["--restart: invalid float value: 'soon'"]),
         (["effects", "--colour"], ["unrecognized arguments: --colour"]),
     ],

@@ -115,7 +115,7 @@ def find_blocks(language: str) -> list[str]:
 
 def test_the_documented_twins_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The drone of docs/twin.md loads, its quadrotor too; its cart gets the generic effects, with units."""
-    drone, cart, quadrotor, legged = find_blocks("yaml")
+    drone, _, cart, quadrotor, legged = find_blocks("yaml")
     assert load_twin(write_twin(tmp_path)).robot.signals == Signals(**yaml.safe_load(quadrotor)["signals"])
     leg.write_twin(tmp_path)
     (tmp_path / "leg.yaml").write_text(legged)

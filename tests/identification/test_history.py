@@ -217,7 +217,7 @@ def test_another_process_has_the_same_twin(growing: list[Path], monkeypatch: pyt
     monkeypatch.setattr(module, "fit_flights", lambda spec, flights, causes: seen.append((spec, causes)))
     effects = {"slide.coulomb": {"force": 0.7}}
     flight = vpptwin.read_log(growing[0])
-    fit_flight(FitTask(flight, str(growing[0].parent / "rig.yaml"), (), effects, "map", ("slide.coulomb",)))
+    fit_flight(FitTask(flight, str(growing[0].parent / "rig.yaml"), (), effects, "map", ("slide.coulomb",), False))
     ((spec, causes),) = seen
     assert (spec.effects, causes) == (effects, ("slide.coulomb",))
 

@@ -45,7 +45,7 @@ def compare_hypotheses(
     Raises:
         Stopped: before every candidate has been tried once.
     """
-    unknowns = {suspect.key: name_unknown(suspect) for suspect in suspects}
+    unknowns = {suspect.key: name_unknown(suspect, bench.criteria) for suspect in suspects}
     trials = [name_trial(start, unknowns) for start in list_trials(tuple(suspects), scout)] + scan_friction(suspects)
     whole = BenchSimulator(bench, along)
     few = whole if scout is bench else BenchSimulator(scout, along)

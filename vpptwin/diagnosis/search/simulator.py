@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from vpptwin.diagnosis.criteria import CRITERIA
+from vpptwin.diagnosis.criteria import Criteria
 from vpptwin.diagnosis.evidence.bench import FAR, Bench
 from vpptwin.diagnosis.evidence.runs import Track, Variation, keep_last
 from vpptwin.diagnosis.search.likelihood import (
@@ -141,13 +141,13 @@ def find_floor(bench: Bench, channel: int) -> float:
     return max(max(steps) / np.sqrt(12.0) / assumed, 1e-3)
 
 
-def name_unknown(suspect: Suspect) -> Unknown:
+def name_unknown(suspect: Suspect, criteria: Criteria) -> Unknown:
     """A suspect as `inference` asks for it."""
     parameter, effect = suspect.parameter, suspect.effect
     share = LESS if effect.dissipative else 1.0
     rough = suspect.is_limit or effect.placed or effect.stage in (Stage.FRICTION, Stage.SLIP)
     return Unknown(
         suspect.key, suspect.nominal, suspect.width, parameter.low, parameter.high, suspect.step_from,
-        0.0 if suspect.is_limit else share * parameter.tolerance, CRITERIA.tolerances * parameter.tolerance,
+        0.0 if suspect.is_limit else share * parameter.tolerance, criteria.tolerances * parameter.tolerance,
         1.0 if rough else FINE,
     )  # fmt: skip
