@@ -11,10 +11,10 @@ import pytest
 
 from tests.builders import CART, Unsearched, guess, lay_bench, load_known, load_rig
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
-from vpptwin.diagnosis.judgement.conclusion import HARMING, OUTWEIGHED, UNFELT, doubt_gain, list_passing
+from vpptwin.diagnosis.judgement.conclusion import HARMING, OUTWEIGHED, UNFELT, doubt_gain, list_passing, share_ahead
 from vpptwin.diagnosis.judgement.diagnose import Material, keep_better
 from vpptwin.diagnosis.judgement.errors import PredictionErrors
-from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.fits import Fit
@@ -218,3 +218,11 @@ def test_what_a_cause_must_take_away(chi2: tuple[float, float], errors: tuple[fl
             return chi2[len(values)]
 
     assert doubt_gain(Judges(), {}, {KEY: 0.3}) == doubt
+
+
+def test_a_horizon_without_measurements_leaves_no_share() -> None:
+    """The least of 0.5 and 0.25, whatever was not measured; 1 where nothing was."""
+    nan = float("nan")
+    before, after = Score([2.0, 4.0, nan], None, {}, 9.0), Score([1.0, 1.0, nan], None, {}, 1.0)
+    assert share_ahead(before, after) == 0.25
+    assert share_ahead(Score(None, None, {}, 9.0), after) == 1.0

@@ -124,9 +124,10 @@ def conclude(
 
 
 def share_ahead(before: Score, after: Score) -> float:
-    """Least share of the error of the pose that is left, of all horizons."""
+    """Least share of the error of the pose that is left, of all horizons at which one was measured."""
     pairs = [(before.position_rmse_m, after.position_rmse_m), (before.angle_rmse_rad, after.angle_rmse_rad)]
-    return min((float(np.min(np.divide(a, b))) for b, a in pairs if a and b), default=1.0)
+    told = [(first, last) for olds, news in pairs if olds and news for first, last in zip(olds, news)]
+    return min((last / first for first, last in told if first > 0.0 and np.isfinite(last)), default=1.0)
 
 
 def list_passing(search: Search, fit: Fit) -> set[str]:

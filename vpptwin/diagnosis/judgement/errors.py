@@ -93,7 +93,10 @@ class PredictionErrors:
         The mean over horizons: half of a Gaussian loss with unknown scale, every block counting as `TOLD` observations.
         """
         rows = [ratio for name, ratio in self.ratios(without or {}, values).items() if name in ("m", "rad")]
-        return -TOLD * float(np.nansum(np.nanmean(np.stack(rows), axis=(0, 2)))) if rows and values else 0.0
+        if not rows or not values:
+            return 0.0
+        number = np.isfinite(rows).sum(axis=(0, 2))  # none in a block without measurements
+        return -TOLD * float((np.nansum(rows, axis=(0, 2)) / np.maximum(number, 1)).sum())
 
     @cached_property
     def _noise(self) -> dict[str, np.ndarray]:
