@@ -158,7 +158,10 @@ class Fitter:
         residual, slopes, at = differentiate(self.simulator, values, unknowns, path)
         loose = self.loose({u.key[0] for u in unknowns})
         if new := [i for i in loose if i not in self._nominal]:
-            found = differentiate(self.simulator, {}, [self.unknowns[i] for i in new])[1]
+            alike = self.scout is self.simulator
+            found = (
+                self.nominal[0][new] if alike else differentiate(self.simulator, {}, [self.unknowns[i] for i in new])[1]
+            )
             self._nominal |= dict(zip(new, found))
         slopes = np.concatenate([slopes, *(self._nominal[i][None] for i in loose)])
         at = np.concatenate([at, [self.unknowns[i].mean for i in loose]])
