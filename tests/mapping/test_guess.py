@@ -305,3 +305,23 @@ def test_a_clock_counts_what_its_name_says(tmp_path: Path, clock: str) -> None:
     entry = SignalEntry.model_validate({"topic": "log", "position": "arm"})
     flight = read_flight(log, None, {"/joint_states": {"arm": entry}})
     np.testing.assert_allclose(flight.joints["/joint_states"]["arm"].time, 2.0 * TIME, atol=1e-6)
+
+
+def test_a_joint_is_found_without_the_word_joint(tmp_path: Path) -> None:
+    """`shoulder` is the position of `shoulder_joint`, and `shoulder_cmd` what its actuator is asked for."""
+    columns = {"shoulder": DELAYED, "shoulder_vel": np.gradient(DELAYED, TIME), "shoulder_cmd": SWING}
+    columns |= {name.replace("shoulder", "elbow"): 0.5 * values for name, values in columns.items()}
+    found = guess(tmp_path, columns, "position", shoulder_joint=LIMITS, elbow_joint=LIMITS)
+    assert [say(each) for each in found.values() if not each.sure] == []
+    assert found["elbow_joint"].fields["position"].label == "elbow"
+
+
+def test_what_follows_a_joint_is_read_from_its_column(tmp_path: Path) -> None:
+    """Where it was not logged itself; an equality tells the factor."""
+    path = write_model(tmp_path / "m.xml", {"grip": LIMITS, "finger": LIMITS}, "motor")
+    coupled = '<equality><joint joint1="finger" joint2="grip" polycoef="0.1 -2 0 0 0"/></equality></mujoco>'
+    path.write_text(path.read_text().replace("</mujoco>", coupled))
+    log = write_log(tmp_path / "log.csv", {"time": TIME, "grip": SWING, "grip_vel": RATE})
+    _, finger, *_ = guess_signals(mujoco.MjModel.from_xml_path(str(path)), survey(log)[1])
+    assert finger.sure
+    assert finger.more == {"position": {"scale": -2.0, "offset": 0.1}, "velocity": {"scale": -2.0}}

@@ -18,6 +18,7 @@ from vpptwin.cli import commands
 from vpptwin.system.doubt import take_as_is
 from vpptwin.system.errors import InputError, check_name, explain_missing, suggest
 from vpptwin.system.files import check_own, check_target, discard_all
+from vpptwin.system.resources import name_packages
 from vpptwin.system.signals import heed_signals
 from vpptwin.system.terminal import show_plainly
 from vpptwin.system.trust import EVERY, trust
@@ -80,6 +81,7 @@ def run(options: argparse.Namespace, given: Sequence[str]) -> int | None:
         check_own(targets.values())
     for name, path in targets.items():
         check_target(path, json=name == "json")
+    name_packages(getattr(options, "package", ()))
     with take_as_is(getattr(options, "as_is", False)):
         code: int | None = options.run(options)
     return code
@@ -218,7 +220,8 @@ def describe_logs(begin: Begin) -> None:
     add = begin("inspect", "list the signals of a log, and map them to joints and actuators", commands.run_inspect)
     add("logs", type=Path, nargs="+", metavar="LOG", help=f"logs of any kind; {PARTS}")
     add_yes(add)
-    add("--model", metavar="NAME", help="MJCF or menagerie name; map signals to its joints and actuators")
+    add("--model", metavar="NAME", help="MJCF, URDF, xacro or menagerie name; map signals to its joints and actuators")
+    add_packages(add)
     add("--out", type=Path, metavar="YAML", help="twin to write with the mapping (default MODEL_twin.yaml)")
 
     add = begin("layouts", "write layouts of Foxglove and PlotJuggler for our logs", commands.run_layouts)
@@ -281,7 +284,11 @@ def describe_pilots(begin: Begin) -> None:
 def add_logs(add: Add, number: str = "+") -> None:
     """Arguments of commands that compare logs with a twin."""
     add("logs", type=Path, nargs=number, metavar="LOG", help=f"logs of any kind; {PARTS}")
-    add("--model", metavar="NAME", help="instead of --twin, an MJCF or menagerie name, if the mapping leaves no doubt")
+    add(
+        "--model",
+        metavar="NAME",
+        help="instead of --twin, an MJCF, URDF, xacro or menagerie name, if the mapping leaves no doubt",
+    )
     add_yes(add)
     add_effects(add)
     add_topic_map(add)
@@ -316,7 +323,14 @@ def add_effects(add: Add) -> None:
         "--effects", type=Path, action="append", default=[], metavar="FILE",
         help="a Python file with effects of your own, or a name of installed ones, which is run; may be repeated",
     )  # fmt: skip
+    add_packages(add)
     add("--trust", action="store_true", help="run the Python files that a twin or checkpoint names too")
+
+
+def add_packages(add: Add) -> None:
+    """The argument that tells where ROS packages are."""
+    packages = "where a ROS package is that a URDF names, if ROS does not say; may be repeated"
+    add("--package", action="append", default=[], metavar="NAME=DIR", help=packages)
 
 
 def add_topic_map(add: Add) -> None:

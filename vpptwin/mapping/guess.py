@@ -24,6 +24,7 @@ from vpptwin.mapping.words import (
     is_spin,
     names_it,
     part_index,
+    split_name,
     split_words,
     tell_quantity,
 )
@@ -70,12 +71,13 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
     joints = [model.joint(i) for i in range(model.njnt) if model.jnt_type[i] in plain]
     names = [joint.name for joint in joints]
     measured = [signal for signal in signals if not is_commanded(signal)]
-    guesses, spelled = [Guess(name, "joints") for name in names], {name.lower() for name in names}
+    guesses, spelled = [Guess(name, "joints") for name in names], [split_name(name) for name in names]
     for quantity in ("position", "velocity"):
         pool = [signal for signal in measured if tell_quantity(signal) == quantity]
         if quantity == "position":  # a column that is called like a joint, and nothing more
             bare = [s for s in measured if not tell_quantity(s)]
-            pool += [s for s in bare if {s.label.lower(), part_index(s)[0].split(" ", 1)[1].lower()} & spelled]
+            stems = [(s, (s.label, part_index(s)[0].split(" ", 1)[1])) for s in bare]
+            pool += [s for s, texts in stems if any(split_name(text) in spelled for text in texts)]
         assign(guesses, names, pool, quantity)
         if quantity == "position":
             for length, kind in zip(PLACES, plain):
@@ -87,6 +89,8 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
                     settle(guess, "velocity", slopes, "its name")
     for guess, joint in zip(guesses, joints):
         check_joint(guess, model, int(joint.id))
+    for guess in guesses:
+        follow_leader(guess, guesses, model)
     motors = [model.actuator(i).name for i in range(model.nu)]
     commands = [Guess(name, "actuators") for name in motors]
     taken = [signal for guess in guesses for signal in (*guess.fields.values(), *guess.rivals)]
@@ -96,8 +100,8 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
         chosen = [guess for guess, kind in zip(commands, kinds) if kind == asked]
         pool = [s for s in signals if is_control(s, asked)]
         # As of joints: a column that is called like one of them, and nothing more but that it was asked for.
-        called = [split_words(guess.target) for guess in chosen]
-        pool += [s for s in bare if s not in pool and [w for w in split_words(s.label) if w not in COMMANDED] in called]
+        called = [split_name(guess.target) for guess in chosen]
+        pool += [s for s in bare if s not in pool and [w for w in split_name(s.label) if w not in COMMANDED] in called]
         moved = [find_moved(model, motors.index(guess.target)) for guess in chosen]
         assign(chosen, [guess.target for guess in chosen], pool, "effort", moved)
     for i, guess in enumerate(commands):
@@ -121,6 +125,23 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
             guess.sure = False
     doubt_travel(model, guesses, commands)
     return [*guesses, *commands]
+
+
+def follow_leader(guess: Guess, guesses: Sequence[Guess], model: mujoco.MjModel) -> None:
+    """Read a joint that was not logged and follows another by an equality, as <mimic> says, from that one's columns."""
+    coupled = model.eq_active0.astype(bool) & (model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)) & (model.eq_obj2id >= 0)
+    for i in np.flatnonzero(coupled & (model.eq_obj1id == model.joint(guess.target).id)) if not guess.fields else ():
+        offset, factor, *curved = model.eq_data[i, :5]
+        leader = next((g for g in guesses if g.target == model.joint(int(model.eq_obj2id[i])).name), guess)
+        text = f"it follows {leader.target}, of which it is {factor:g} times" + (f" plus {offset:g}" if offset else "")
+        if np.any(curved) or not leader.fields or any(signal.name for signal in leader.fields.values()):
+            guess.doubts.append(f"{text}: log it, or fix it in the model")
+            continue
+        guess.fields, guess.units = dict(leader.fields), dict(leader.units)
+        guess.more = {quantity: {"scale": float(factor)} for quantity in leader.fields}
+        guess.more["position"] |= {"offset": float(offset)} if offset else {}
+        guess.doubts, guess.reasons = list(leader.doubts), [text]
+        guess.sure = not guess.doubts
 
 
 def doubt_travel(model: mujoco.MjModel, guesses: Sequence[Guess], commands: Sequence[Guess]) -> None:

@@ -18,6 +18,7 @@ EXTRAS = {
     "ray": ("ray",),
     "gymnasium": ("gymnasium",),
     "logs": ("pyarrow", "pyulog", "pymavlink", "rosbags"),
+    "urdf": ("xacro",),
     "menagerie": ("mujoco_menagerie", "robot_descriptions"),
     "rerun": ("rerun",),
     "video": ("imageio_ffmpeg",),

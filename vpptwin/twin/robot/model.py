@@ -17,7 +17,7 @@ from vpptwin.twin.robot.actuation import BIASES, GAINS, simplify_actuators
 from vpptwin.twin.robot.manifold import BALL, FREE
 from vpptwin.twin.robot.parts import read_parts
 from vpptwin.twin.robot.trial import MAX_BYTES, bound_memory, check_claims, check_size, try_model
-from vpptwin.twin.robot.urdf import check_urdf, drive_joints, explain_urdf, is_urdf, tell_drives
+from vpptwin.twin.robot.urdf import explain_urdf, read_urdf, specify_urdf, tell_drives
 
 HEAVY = 1e6
 """Inertia of a joint that follows its log, as a multiple of what it carries: what its motion is off by, inverted."""
@@ -36,7 +36,7 @@ Adapt = Callable[[mujoco.MjSpec, Path], None]
 def compile_model(
     path: Path, adapt: Adapt = lambda spec, path: None, check: Callable[[mujoco.MjModel, Path], None] | None = None
 ) -> mujoco.MjModel:
-    """Compile an MJCF.
+    """Compile an MJCF, a URDF or a file of xacro.
 
     Args:
         path: of the file.
@@ -48,8 +48,8 @@ def compile_model(
     """
     elements = read_parts(path)
     check_claims(path, elements)
-    check_urdf(path, elements)
-    try_model(path, elements, MAX_BYTES)
+    urdf = read_urdf(path)
+    try_model(path, elements, MAX_BYTES, urdf)
     try:
         with bound_memory(), left_alone():  # a callback in Python would fail there
             model = specify_model(path, adapt).compile()
@@ -57,7 +57,7 @@ def compile_model(
         raise
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         told = InputError(f"{path}: MuJoCo says {error}", "an MJCF that compiles", "open it in MuJoCo's viewer")
-        raise (is_urdf(elements) and explain_urdf(path, elements, str(error))) or told from error
+        raise (None if urdf is None else explain_urdf(path, urdf, str(error))) or told from error
     if model.nv == 0:
         raise InputError(f"{path}: no joints", "an MJCF with at least one joint", "add one")
     for name in bytes(model.names).decode("utf-8", "replace").split("\0"):
@@ -68,21 +68,20 @@ def compile_model(
     check_size(model, path)
     check_engine(model, path)
     check_inertia(model, path)
-    if is_urdf(elements):
-        tell_drives(path, elements)
+    if urdf is not None:
+        tell_drives(path, urdf)
     return model
 
 
 def specify_model(path: Path, adapt: Adapt) -> mujoco.MjSpec:
-    """Read an MJCF, with a rig's own numbers, and with room for our marks.
+    """Read a model, with a rig's own numbers, and with room for our marks.
 
     Raises:
         InputError: if it lacks what those numbers are for.
         ValueError: if MuJoCo refuses the file.
     """
-    spec = mujoco.MjSpec.from_file(str(path))
-    if path.suffix.lower() == ".urdf":
-        drive_joints(spec)
+    urdf = read_urdf(path)
+    spec = mujoco.MjSpec.from_file(str(path)) if urdf is None else specify_urdf(urdf)
     adapt(spec, path)
     simplify_actuators(spec)
     for joint in spec.joints:

@@ -9,9 +9,11 @@ import os
 import signal
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 
 import mujoco
 
@@ -55,7 +57,7 @@ mujoco.mj_loadXML(os.fsencode(path), None, ctypes.create_string_buffer(1000), 10
 _sound: set[tuple[object, ...]] = set()  # models of this process that compiled
 
 
-def try_model(path: Path, elements: list[Element], room: int) -> None:
+def try_model(path: Path, elements: list[Element], room: int, urdf: ET.Element | None = None) -> None:
     """Compile a model in a process that may die; those that ship, and those that lived, are not tried again.
 
     Whatever MuJoCo refuses lives too: the reason is told where it is compiled for good.
@@ -64,6 +66,7 @@ def try_model(path: Path, elements: list[Element], room: int) -> None:
         path: of the model.
         elements: of it and of its parts.
         room: memory that it may take [bytes].
+        urdf: the <robot> as MuJoCo is to read it, where that is not the file.
 
     Raises:
         InputError: if it crashes, or does not end.
@@ -72,16 +75,22 @@ def try_model(path: Path, elements: list[Element], room: int) -> None:
     if real.parent == models_dir().resolve():
         return
     files = {os.path.realpath(element.file) for element in elements}
-    state = (real, *(item for file in sorted(files) for item in (file, os.stat(file).st_mtime_ns)))
+    text = None if urdf is None else ET.tostring(urdf)
+    state = (real, text, *(item for file in sorted(files) for item in (file, os.stat(file).st_mtime_ns)))
     if state in _sound:
         return
     home = Path(mujoco.__file__).parent
     (library,) = [file for file in home.glob("libmujoco*") if ".so" in file.name or file.suffix == ".dylib"][:1]
     plugins = os.pathsep.join(map(str, sorted((home / "plugin").glob("lib*"))))
-    command = [sys.executable, "-I", "-S", "-c", TRY, str(library), plugins, str(real), str(SECONDS), str(room)]
+    command = [sys.executable, "-I", "-S", "-c", TRY, str(library), plugins]
     advice = "open it in MuJoCo's viewer, and take out what it needs so long for"
     try:
-        ended = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=PATIENCE, cwd="/")
+        with NamedTemporaryFile(suffix=".urdf") as written:
+            if text is not None:
+                written.write(text)
+                written.flush()
+            command += [str(real) if text is None else written.name, str(SECONDS), str(room)]
+            ended = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=PATIENCE, cwd="/")
     except subprocess.TimeoutExpired:
         raise InputError(f"{path}: MuJoCo waits for a file", "regular files", advice) from None
     died = -ended.returncode
