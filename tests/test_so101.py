@@ -12,6 +12,7 @@ import pytest
 
 from examples.so101.by_hand import INERTIA, LIMITS, MAKERS, WEIGHT, fit_joint, miss, prepare, weigh
 from examples.so101.convert import JOINTS, convert, read_motion
+from vpptwin.cli.demo import MOTIONS
 from vpptwin.cli.main import main
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
@@ -23,6 +24,18 @@ EXAMPLE = Path(__file__).resolve().parents[1] / "examples/so101"
 def folder(shared_data: Path) -> Path:
     """The motions."""
     return shared_data / "so101"
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_motions_that_ship_are_what_was_measured(folder: Path, tmp_path: Path, name: str) -> None:
+    """Their first 24 s, and their licence."""
+    convert(folder / name, tmp_path / "log.mcap", last=24.0)
+    shipped, made = (read_flight(path) for path in (EXAMPLE / f"motions/{name}.mcap", tmp_path / "log.mcap"))
+    for topic, streams in made.joints.items():
+        for joint, stream in streams.items():
+            for column, values in stream.values.items():
+                np.testing.assert_array_equal(shipped.joints[topic][joint][column], values)
+    assert (EXAMPLE / "motions/LICENSE").read_bytes() == (folder / "LICENSE").read_bytes()
 
 
 def test_the_fit_weighs_as_the_model_does() -> None:

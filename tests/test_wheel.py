@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vpptwin.cli.demo import MOTIONS
+
 ROOT = Path(__file__).resolve().parents[1]
 DEPENDENCIES = Path(np.__file__).parents[1]  # site-packages of this environment
 FIRST_EFFECTS = (
@@ -65,6 +67,8 @@ def test_wheel_holds_models_and_package(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {f"vpptwin/models/{name}" for name in ("rail_rig.xml", "vpp_planar.xml", "vehicle.yaml")} <= names
     assert {f"vpptwin/flights/{path.name}" for path in (ROOT / "demo/flights").glob("*.mcap")} <= names
+    arm = ("so101.xml", "rotation.yaml", "motions/LICENSE", *(f"motions/{name}.mcap" for name in MOTIONS))
+    assert {f"vpptwin/so101/{name}" for name in arm} <= names
     files = (path for path in (ROOT / "vpptwin").rglob("*") if path.is_file() and "__pycache__" not in path.parts)
     assert {path.relative_to(ROOT).as_posix() for path in files} <= names
     assert all(name.startswith("vpptwin") for name in names)
@@ -74,7 +78,7 @@ def test_wheel_runs_its_own_code(installation: Installation) -> None:
     """Package, models and flights come from the new environment, not from this checkout."""
     script = (
         "import vpptwin as v, vpptwin.system.resources as r\n"
-        "print(v.__file__, r.models_dir(), r.flights_dir(), sep='\\n')"
+        "print(v.__file__, r.models_dir(), r.flights_dir(), r.so101_dir(), sep='\\n')"
     )
     done = installation.run("python", "-c", script)
     assert done.returncode == 0, done.stderr

@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 
 def run_demo(options: argparse.Namespace) -> None:
     """`vpptwin demo`."""
-    from vpptwin.cli.demo import show_demo
+    from vpptwin.cli.demo import show_arm, show_demo
 
-    show_demo(options.out, options.force)
+    show = show_arm if options.robot == "so101" else show_demo
+    show(options.out or Path("out") / (options.robot or "demo"), options.force)
 
 
 def run_effects(options: argparse.Namespace) -> None:

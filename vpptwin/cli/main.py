@@ -154,9 +154,10 @@ def build_parser() -> argparse.ArgumentParser:
 
 def describe_logs(begin: Begin) -> None:
     """Commands about logs, and their arguments."""
-    add = begin("demo", "diagnose the flights that ship with vpptwin", commands.run_demo)
-    out = Path("out") / "demo"
-    add("--out", type=Path, metavar="DIR", default=out, help=f"folder for report and flip (default {out})")
+    add = begin("demo", "diagnose logs that ship with vpptwin", commands.run_demo)
+    robots = "a robot whose measured logs ship, the arm so101; without it, the drone in an independent simulation"
+    add("robot", nargs="?", choices=["so101"], help=robots)
+    add("--out", type=Path, metavar="DIR", help="folder for report and pages (default out/demo, or out/so101)")
 
     add = begin("effects", "list the catalogue of effects", commands.run_effects)
     add("--twin", default="nominal", help="`nominal`, `typical` or a twin YAML, whose rig's effects are listed")

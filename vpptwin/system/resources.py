@@ -16,14 +16,23 @@ VARIABLE = "VPPTWIN_PACKAGES"
 
 def models_dir() -> Path:
     """Folder of the shipped models: inside the package when installed, at the top of a checkout otherwise."""
-    installed = PACKAGE / "models"
-    return installed if installed.is_dir() else PACKAGE.parent / "models"
+    return find_shipped("models", "models")
 
 
 def flights_dir() -> Path:
     """Folder of the flights that `vpptwin demo` diagnoses, likewise."""
-    installed = PACKAGE / "flights"
-    return installed if installed.is_dir() else PACKAGE.parent / "demo" / "flights"
+    return find_shipped("flights", "demo/flights")
+
+
+def so101_dir() -> Path:
+    """Folder of the twin, and in it of the `motions`, that `vpptwin demo so101` diagnoses, likewise."""
+    return find_shipped("so101", "examples/so101")
+
+
+def find_shipped(name: str, place: str) -> Path:
+    """A folder inside the package when installed, at this place of a checkout otherwise."""
+    installed = PACKAGE / name
+    return installed if installed.is_dir() else PACKAGE.parent / place
 
 
 def find_model_file(name: str, relative_to: Path | None = None) -> Path:
