@@ -29,7 +29,7 @@ sys.path.insert(0, str(ROOT))
 import numpy as np  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 
-from proving.hidden import write_log  # noqa: E402
+from proving.logs import write_log  # noqa: E402
 from proving.mechanisms.session import draw_session  # noqa: E402
 from proving.runner.costs import format_costs, profile_diagnosis  # noqa: E402
 from proving.runner.crafts import GROUNDS  # noqa: E402

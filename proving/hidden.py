@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vpptwin.logs.flight import Flight
-from vpptwin.logs.write import START_NS, Message, write_flight
+from proving.logs import Log, write_log
 
 Hidden = Mapping[str, Mapping[str, float]]
 """Effect → parameter → value, in the catalogue's terms."""
@@ -25,7 +24,7 @@ def save_twin(folder: Path, name: str, mjcf: str, twin: str) -> Path:
     return folder / "twin.yaml"
 
 
-def record(mjcf: str, make: Callable[[Hidden, float, int], Flight], duration: float) -> None:
+def record(mjcf: str, make: Callable[[Hidden, float, int], Log], duration: float) -> None:
     """Command line of a proving ground: the MJCF, named as in it, and logs, into the current folder."""
     parser = argparse.ArgumentParser(description=record.__doc__)
     parser.add_argument(
@@ -53,26 +52,3 @@ def draw_one(seed: Sequence[int], spans: Spans) -> Hidden:
     name, low, high = spans[effect]
     value = float(low * (high / low) ** rng.random())
     return {effect.split()[0]: {name: value * (rng.choice([-1.0, 1.0]) if " " in effect else 1.0)}}
-
-
-def write_log(flight: Flight, path: Path) -> Path:
-    """The log as MCAP: PoseStamped, Imu, JointState."""
-    zero, messages = dict.fromkeys("xyz", 0.0), []
-    for topic, stream in flight.spatial.items():
-        for row, time in enumerate(stream.time):
-            told = {name: dict(zip("wxyz"[-len(values[row]) :], map(float, values[row])))
-                    for name, values in stream.values.items()}  # fmt: skip
-            whole = START_NS + round(time * 1e9)
-            stamp = {"stamp": {"sec": whole // 10**9, "nanosec": whole % 10**9}, "frame_id": "world"}
-            if "rate" in told:
-                kind, content = "sensor_msgs/msg/Imu", {
-                    "orientation": {**zero, "w": 1.0}, "orientation_covariance": 9 * [0.0],
-                    "angular_velocity": told["rate"], "angular_velocity_covariance": 9 * [0.0],
-                    "linear_acceleration": zero, "linear_acceleration_covariance": 9 * [0.0],
-                }  # fmt: skip
-            else:
-                pose = {"position": told.get("position", zero), "orientation": told["attitude"]}
-                kind, content = "geometry_msgs/msg/PoseStamped", {"pose": pose}
-            messages.append(Message(topic, kind, float(time), {"header": stamp, **content}))
-    write_flight(path, {}, flight.joints, messages=sorted(messages, key=lambda message: message.time))
-    return path

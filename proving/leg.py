@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from proving.hidden import Hidden, draw_one, record, save_twin
-from vpptwin.logs.flight import Flight, Stream
+from proving.logs import Log, Stream
 
 PARTS = {
     "thigh": (0.40, (0.0, 0.0, -0.10), (2.2e-3, 2.2e-3, 3e-4)),
@@ -166,7 +166,7 @@ def simulate(hidden: Hidden, duration: float, seed: int) -> tuple[np.ndarray, np
     return poses, rates, torques
 
 
-def move(hidden: Hidden, duration: float, seed: int, noise: float = 1.0) -> Flight:
+def move(hidden: Hidden, duration: float, seed: int, noise: float = 1.0) -> Log:
     """The log of such a motion, whose sensors have `noise` times their noise."""
     poses, rates, torques = simulate(hidden, duration, seed)
     rng, held, seen = np.random.default_rng([seed, 1]), round(CONTROL / STEP), round(SEEN / STEP)
@@ -192,7 +192,7 @@ def move(hidden: Hidden, duration: float, seed: int, noise: float = 1.0) -> Flig
         "/pose": Stream(slow, {"position": trunk, "attitude": look(poses[::seen, 3:7])}),
         "/ankle": Stream(slow, {"attitude": look(poses[::seen, 9:13])}),
     }
-    return Flight(Path(f"motion_{seed}.mcap"), 0, {}, joints, spatial=spatial)
+    return Log(Path(f"motion_{seed}.mcap"), 0, {}, joints, spatial=spatial)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from numba import njit
 from scipy.spatial.transform import Rotation
 
 from proving.hidden import Hidden, draw_one, record, save_twin
-from vpptwin.logs.flight import Flight, Stream
+from proving.logs import Log, Stream
 
 MASS, ARM, TORQUE = 0.030, 0.0325, 0.006  # kg, m, m (torque over thrust)
 INERTIA = np.array([1.5e-5, 1.5e-5, 2.6e-5])  # kg m²
@@ -179,7 +179,7 @@ def simulate(hidden: Hidden, duration: float, seed: int, gusts: float) -> np.nda
     return np.asarray(_fly(count, goals, yaws, rng.standard_normal((count + 1, 6)), strength, craft))
 
 
-def fly(hidden: Hidden, duration: float, seed: int, gusts: float = 0.002, noise: float = 1.0) -> Flight:
+def fly(hidden: Hidden, duration: float, seed: int, gusts: float = 0.002, noise: float = 1.0) -> Log:
     """The log of such a flight, whose sensors have `noise` times their noise."""
     log, rng = simulate(hidden, duration, seed, gusts), np.random.default_rng([seed, 1])
     time, seen = STEP * np.arange(len(log)), misread_poses(log, hidden)
@@ -196,7 +196,7 @@ def fly(hidden: Hidden, duration: float, seed: int, gusts: float = 0.002, noise:
         "/pose": Stream(time[::5], {"position": position, "attitude": attitude}),
         "/imu": Stream(time, {"rate": rate}),
     }
-    return Flight(Path(f"flight_{seed}.mcap"), 0, {}, {"/motors": motors}, spatial=spatial)
+    return Log(Path(f"flight_{seed}.mcap"), 0, {}, {"/motors": motors}, spatial=spatial)
 
 
 def misread_poses(log: np.ndarray, hidden: Hidden) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from proving.hidden import Hidden, draw_one, record, save_twin
-from vpptwin.logs.flight import Flight, Stream
+from proving.logs import Log, Stream
 
 LENGTH, CENTRE, MASS, INERTIA = (0.15, 0.0), (0.08, 0.07), (0.12, 0.10), (2.5e-4, 2.0e-4)  # m, m, kg, kg m²
 ROTOR, STIFF, DAMP, MOST, DRY, VISCOUS, GRAVITY = 0.012, 9.0, 0.6, 1.6, 0.04, 0.02, 9.81
@@ -120,7 +120,7 @@ def plan_targets(rng: np.random.Generator, duration: float) -> np.ndarray:
     return targets
 
 
-def move(hidden: Hidden, duration: float, seed: int) -> Flight:
+def move(hidden: Hidden, duration: float, seed: int) -> Log:
     """The log of a motion of this arm."""
 
     def get(kind: str, name: str, off: float = 0.0) -> list[float]:
@@ -137,7 +137,7 @@ def move(hidden: Hidden, duration: float, seed: int) -> Flight:
     time = PERIOD * np.arange(len(targets))
     joints = {name: Stream(time, {"position": seen[:, j]}) for j, name in enumerate(JOINTS)}
     inputs = {f"{name}_servo": Stream(time, {"effort": targets[:, j]}) for j, name in enumerate(JOINTS)}
-    return Flight(Path(f"motion_{seed}.mcap"), 0, {}, {"/joint_states": joints, "/targets": inputs})
+    return Log(Path(f"motion_{seed}.mcap"), 0, {}, {"/joint_states": joints, "/targets": inputs})
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vpptwin.logs.flight import Flight, Stream
+from proving.logs import Log, Stream
 from vpptwin.twin import TwinSpec, load_twin
 
 LENGTH, CENTRE, MASS, INERTIA = 0.3, (0.16, 0.13), (1.4, 0.8), (0.012, 0.006)  # m, m, kg, kg m²
@@ -56,7 +56,7 @@ def write_arm(folder: Path, gravity: float = GRAVITY) -> TwinSpec:
     return load_twin(folder / "twin.yaml")
 
 
-def swing_arm(truth: Truth, duration: float, seed: int) -> Flight:
+def swing_arm(truth: Truth, duration: float, seed: int) -> Log:
     """The log of a motion of this arm under a controller that follows sines of several frequencies."""
     rng = np.random.default_rng(seed)
     count = round(duration / STEP / EVERY)
@@ -104,4 +104,4 @@ def swing_arm(truth: Truth, duration: float, seed: int) -> Flight:
     rows += np.repeat(NOISE, 2) * rng.standard_normal(rows.shape)
     joints = {n: Stream(time, {"position": rows[:, j], "velocity": rows[:, 2 + j]}) for j, n in enumerate(JOINTS)}
     efforts = {f"m_{n}": Stream(time, {"effort": logged[:, j]}) for j, n in enumerate(JOINTS)}
-    return Flight(Path(f"arm_{seed}.mcap"), 0, {}, {"/joint_states": joints, "/efforts": efforts})
+    return Log(Path(f"arm_{seed}.mcap"), 0, {}, {"/joint_states": joints, "/efforts": efforts})

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from proving.hidden import write_log
+from proving.logs import write_log
 from proving.quadrotor import GRAVITY, INERTIA, MASS, STEP, fly, simulate, write_twin
 from tests.builders import load_rig
 from vpptwin.diagnosis.evidence.flights import build_bench

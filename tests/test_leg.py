@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from proving.hidden import write_log
 from proving.leg import STEP, move, simulate, write_twin
+from proving.logs import write_log
 from tests.builders import load_rig
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.estimation.initial import estimate_states

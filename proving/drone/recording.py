@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
+
+from proving.logs import Channel, write_channels
+from proving.messages import encode
 
 from .manoeuvres import PERIOD
-from .messages import DEFINITIONS, encode
 from .rotor import STEP
 from .sensors import MOCAP_PERIOD
 
@@ -150,26 +150,10 @@ def _stamp_pose(pose: np.ndarray) -> dict[str, np.ndarray]:
 
 def write_mcap(recording: Recording, path: str | Path) -> Path:
     """Write a log: MCAP, `ros2` profile, zstd, definitions embedded, messages in the order they were recorded."""
-    path = Path(path)
-    messages: list[tuple[int, int, bytes]] = []
-    unfinished = path.with_name(path.name + ".part")
-    with unfinished.open("wb") as stream:
-        writer = Writer(stream, chunk_size=4 * 1024 * 1024, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library="vpptwin proving.drone")
-        schemas: dict[str, int] = {}
-        for name, topic in recording.topics.items():
-            if topic.kind not in schemas:
-                schemas[topic.kind] = writer.register_schema(topic.kind, "ros2msg", DEFINITIONS[topic.kind].encode())
-            channel = writer.register_channel(name, "cdr", schemas[topic.kind])
-            stamps = recording.start_ns + np.rint(topic.time * 1e9).astype(np.int64)
-            logged = (stamps + np.rint(topic.latency * 1e9).astype(np.int64)).tolist()
-            encoded = encode(topic.kind, topic.frame, stamps, topic.columns, recording.imu_std)
-            messages += zip(logged, [channel] * len(encoded), encoded)
-        messages.sort(key=lambda message: message[:2])
-        counts: dict[int, int] = {}
-        for logged_at, channel, data in messages:
-            counts[channel] = counts.get(channel, 0) + 1
-            writer.add_message(channel, logged_at, data, logged_at, counts[channel])
-        writer.finish()
-    os.replace(unfinished, path)
-    return path
+    channels = []
+    for name, topic in recording.topics.items():
+        stamps = recording.start_ns + np.rint(topic.time * 1e9).astype(np.int64)
+        logged = stamps + np.rint(topic.latency * 1e9).astype(np.int64)
+        encoded = encode(topic.kind, topic.frame, stamps, topic.columns, recording.imu_std)
+        channels.append(Channel(name, topic.kind, stamps, logged, encoded))
+    return write_channels(Path(path), channels, "vpptwin proving.drone")

@@ -13,7 +13,10 @@ from .effects import COMPANIONS, EFFECTS, Effects, check_effects
 
 X, Z, PITCH = 0, 1, 2  # rows of every (3, flights) array
 ON_THE_RIG = ("carriage.mass", "rail_x.jamming", "rail_z.jamming")  # effects that need carriage and slider
-VEHICLE = Path(__file__).resolve().parents[2] / "models" / "vehicle.yaml"
+MODELS = Path(__file__).resolve().parents[2] / "models"
+if not MODELS.exists():  # installed alone, as simgap
+    MODELS = Path(__file__).resolve().parent
+VEHICLE = MODELS / "vehicle.yaml"
 
 
 @cache

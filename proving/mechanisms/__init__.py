@@ -2,7 +2,7 @@
 
 Six families (carriage, strongly damped cart, free pendulum, cart-pole, double pendulum, six-joint arm), every rig, its
 sensors, its motion and what is hidden in it drawn from a seed. Own equations of motion or Pinocchio's, own friction,
-own drives; of vpptwin only the log writer is used.
+own drives; nothing of vpptwin.
 """
 
 from .families import FAMILIES

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vpptwin.logs.write import FlightWriter
+from proving.logs import START_NS, Log, Stream, write_log
 
 from .hidden import Hidden, Scale, Values, hide, size_effect
 from .measure import Evidence, Visibility, measure_visibility
@@ -190,7 +190,8 @@ def record(session: Session, folder: Path) -> Recorded:
     for i, ((track, noise), seen) in enumerate(zip(logs, evidence)):
         rng = np.random.default_rng([session.seed, 6, session.number, i])
         path = folder / f"{i}_{session.motions[i].kind}.mcap"
-        paths.append(write_log(session, path, scale, track, noise + zero, seen, rng, found))
+        log = measure_log(session, path, scale, track, noise + zero, seen, rng, found)
+        paths.append(write_log(log, path))
     return Recorded(paths, folder / "rig.yaml", truth)
 
 
@@ -234,11 +235,11 @@ def add_jitter(told: Rig, real: Rig, hidden: Hidden, values: Values, scale: Scal
     return true
 
 
-def write_log(
+def measure_log(
     session: Session, path: Path, scale: Scale, track: Track, noise: np.ndarray, seen: Evidence,
     rng: np.random.Generator, found: Sequence[tuple[Hidden, Values]],
-) -> Path:  # fmt: skip
-    """Write a log as the rig's own software would, with what is hidden in its velocities."""
+) -> Log:  # fmt: skip
+    """A log as the rig's own software would have it, with what is hidden in its velocities."""
     sensors, rig = session.sensors, session.rig
     position, velocity = measure_motion(rng, sensors, track.moved, noise, scale.spread, scale.speed, scale.period)
     if velocity is not None:
@@ -246,15 +247,12 @@ def write_log(
             velocity[:, hidden.joint] *= values.get("scale", 1.0) if hidden.kind == "rate_scale" else 1.0
             velocity[:, hidden.joint] += values.get("bias", 0.0) if hidden.kind == "rate_bias" else 0.0
     inputs = seen.inputs + sensors.torque * scale.input * rng.standard_normal(seen.inputs.shape)
-    with FlightWriter(path) as writer:
-        for k in range(len(position)):
-            time = k * scale.period
-            joints = {name: {"position": float(position[k, j])} for j, name in enumerate(rig.joints)}
-            if velocity is not None:
-                for j, name in enumerate(rig.joints):
-                    joints[name]["velocity"] = float(velocity[k, j])
-            writer.write_joints("/joint_states", time, joints)
-            if rig.drives:
-                given = {drive.name: {"effort": float(inputs[k, i])} for i, drive in enumerate(rig.drives)}
-                writer.write_joints("/actuator_command", time, given)
-    return path
+    time = scale.period * np.arange(len(position))
+    told = {"position": position} if velocity is None else {"position": position, "velocity": velocity}
+    joints = {name: Stream(time, {c: v[:, j] for c, v in told.items()}) for j, name in enumerate(rig.joints)}
+    topics = {"/joint_states": joints}
+    if rig.drives:
+        topics["/actuator_command"] = {
+            drive.name: Stream(time, {"effort": inputs[:, i]}) for i, drive in enumerate(rig.drives)
+        }
+    return Log(path, START_NS, {}, topics)

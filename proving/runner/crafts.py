@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from proving import leg, quadrotor, servo_arm
-from proving.hidden import write_log
+from proving.logs import write_log
 from proving.runner.mechanisms import MechanismPlan
 
 GROUNDS = {"quadrotor": quadrotor, "servo": servo_arm, "leg": leg}

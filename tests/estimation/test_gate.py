@@ -17,8 +17,8 @@ from examples.double_pendulum.convert import convert as convert_double
 from examples.simple_pendulum.convert import convert as convert_simple
 from examples.so101.convert import convert as convert_arm
 from proving import leg, quadrotor, servo_arm
-from proving.hidden import write_log
 from proving.kinds import KINDS, write_kind
+from proving.logs import write_log
 from tests.conftest import SHARED
 from vpptwin import compare
 from vpptwin.cli.main import main

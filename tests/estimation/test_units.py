@@ -14,7 +14,7 @@ import pytest
 from pyarrow import parquet
 
 from benchmarks.guesses import write_model
-from proving.hidden import write_log
+from proving.logs import write_log
 from proving.mechanisms.recording import record as record_session
 from proving.mechanisms.session import draw_session
 from proving.torque_arm import Truth, swing_arm, write_arm

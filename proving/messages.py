@@ -5,6 +5,7 @@ Written apart from vpptwin.logs: a reader that only understands its own writer w
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -41,6 +42,9 @@ DEFINITIONS: dict[str, str] = {
         "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n",
         _QUATERNION,
         _VECTOR,
+    ),
+    "sensor_msgs/msg/JointState": _define(
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
     ),
     "sensor_msgs/msg/BatteryState": _define(
         "uint8 POWER_SUPPLY_STATUS_DISCHARGING=2\nuint8 POWER_SUPPLY_TECHNOLOGY_LIPO=3\n"
@@ -92,16 +96,16 @@ def _lay_out(kind: str, frame: str, imu_std: tuple[float, float]) -> _Layout:
     layout = _Layout()
     layout.add_header(frame)
     if kind == "geometry_msgs/msg/PoseStamped":
-        layout.add_doubles(("x", None, "z"))
-        layout.add_doubles((None, "qy", None, "qw"))
+        layout.add_doubles(("x", "y", "z"))
+        layout.add_doubles(("qx", "qy", "qz", "qw"))
     elif kind == "sensor_msgs/msg/Imu":
         layout.add_doubles((None, None, None))
         layout.add_doubles((None,), 1.0)
         layout.add_doubles((None,), -1.0)  # no orientation in these messages
         layout.add_doubles((None,) * 8)
-        layout.add_doubles((None, "wy", None))
+        layout.add_doubles(("wx", "wy", "wz"))
         _add_diagonal(layout, imu_std[0] ** 2)
-        layout.add_doubles(("ax", None, "az"))
+        layout.add_doubles(("ax", "ay", "az"))
         _add_diagonal(layout, imu_std[1] ** 2)
     elif kind == "sensor_msgs/msg/BatteryState":
         layout.add("voltage", "<f4")
@@ -133,7 +137,7 @@ def encode(
     kind: str,
     frame: str,
     stamps: np.ndarray,
-    columns: dict[str, np.ndarray],
+    columns: Mapping[str, np.ndarray],
     imu_std: tuple[float, float] = (0.0, 0.0),
 ) -> list[bytes]:
     """Encode every message of a topic.
@@ -142,10 +146,37 @@ def encode(
         kind: Message type.
         frame: frame_id.
         stamps: ns since 1970. (n,).
-        columns: One array per varying field, (n,).
+        columns: One array per varying field, (n,); of poses and IMUs what is missing is zero.
         imu_std: Standard deviation of gyro rad/s and accelerometer m/s^2, for the covariances.
     """
     layout = _lay_out(kind, frame, imu_std)
+    if kind.endswith(("PoseStamped", "Imu")):
+        columns = {name: np.zeros(len(stamps)) for name in [*layout.slots][2:]} | columns
+    return _fill(kind, layout, stamps, columns)
+
+
+def encode_joints(stamps: np.ndarray, joints: Mapping[str, Mapping[str, np.ndarray]]) -> list[bytes]:
+    """Encode JointState messages.
+
+    Args:
+        stamps: ns since 1970, (n,).
+        joints: joint or actuator → position, velocity, effort as far as there are any, (n,) each; all have the same.
+    """
+    layout = _Layout()
+    layout.add_header("")
+    layout.add(None, "<u4", len(joints))
+    for name in joints:
+        layout.add_text(name)
+    present = next(iter(joints.values()))
+    for column in ("position", "velocity", "effort"):
+        layout.add(None, "<u4", len(joints) if column in present else 0)
+        if column in present:
+            layout.add_doubles(tuple(f"{name}.{column}" for name in joints))
+    columns = {f"{name}.{column}": values for name, given in joints.items() for column, values in given.items()}
+    return _fill("sensor_msgs/msg/JointState", layout, stamps, columns)
+
+
+def _fill(kind: str, layout: _Layout, stamps: np.ndarray, columns: Mapping[str, np.ndarray]) -> list[bytes]:
     columns = {"sec": stamps // 10**9, "nanosec": stamps % 10**9, **columns}
     if missing := layout.slots.keys() ^ columns.keys():
         raise ValueError(f"{kind}: fields and columns differ by {sorted(missing)}")
