@@ -125,3 +125,13 @@ def test_tables_are_rectangular(page: str) -> None:
 def count_cells(row: str) -> int:
     """Bars that part cells, of a row of a table."""
     return len(re.findall(r"(?<!\\)\|", row))
+
+
+def test_nothing_that_a_stranger_reads_names_what_only_its_makers_have() -> None:
+    """Pages, notebooks, examples and the package: no folder of ours, no number of an issue."""
+    inner = re.compile(r"\.\./shared|/work/|\bSPEC(\.md)?\b(?!_)|\bissue #?\d")
+    files = [ROOT / page for page in PAGES]
+    for folder, kinds in (("vpptwin", "py j2 html yaml"), ("examples", "py yaml ipynb xml"), ("docs", "md")):
+        files += [file for kind in kinds.split() for file in (ROOT / folder).rglob(f"*.{kind}")]
+    found = {file.name: match[0] for file in files if (match := inner.search(file.read_text(encoding="utf-8")))}
+    assert found == {}
