@@ -16,7 +16,10 @@ from vpptwin.cli.main import main
 from vpptwin.report.result import Result
 
 CASES = SHARED / "cases"
-DRAWN = [("step", 7), ("two_steps", 8), ("decay", 9), ("relay", 7)]
+DRAWN = [
+    ("step", 7),
+    *(pytest.param(*each, marks=pytest.mark.slow) for each in (("two_steps", 8), ("decay", 9), ("relay", 7))),
+]
 """Kinds with seeds for development, of which some have no twin YAML: then the next that has one."""
 
 

@@ -13,6 +13,7 @@ import pytest
 import soak
 
 
+@pytest.mark.slow
 def test_a_few_commands_end_well(tmp_path: Path) -> None:
     """No traceback, no hang, no process, no file left behind."""
     (tmp_path / "out").mkdir()

@@ -25,7 +25,7 @@ from vpptwin.twin.twin import Twin
 
 ROWS = 4096
 """Simulations that run side by side: enough to keep the engine busy, few enough to stay in memory."""
-TWINS = 32
+TWINS = 4
 """Twins, those used last, that are kept."""
 Key = tuple[str, str]
 """Effect id and parameter name."""
