@@ -67,6 +67,7 @@ LONG = (
     "test_mechanism_sessions.py", "test_other_rigs.py", "test_free_decay.py",
     "test_tutorials.py", "test_notebooks.py", "viz/test_serve.py", "viz/test_browser.py", "viz/test_live.py",
     "viz/test_frames.py", "test_mechanisms.py", "identification/test_identify.py", "identification/test_free_flight.py",
+    "diagnosis/judgement/test_experiment.py", "diagnosis/search/test_doubt.py", "benchmarks/test_throughput.py",
     "benchmarks/test_peers.py",
     "benchmarks/test_soak.py", "test_fuzz.py", "test_signals.py", "actuators/test_adaptive.py",
 )  # fmt: skip

@@ -69,7 +69,11 @@ class Criteria:
         "85dd805, sessions 94414/17 and 13989/56")
     shortlist: int = by_hand(5, "", "candidates refitted at every step", "4 at 85fc87b, 5 since e1272d1")
     starts: int = by_hand(2, "", "values of a shape or a limit from which a refit starts", "e1272d1")
+    few: int = assumed(17, "", "candidates up to which every one is refitted at every step",
+        "16 at 4de4b66, 17 since 55f8389")
+    generous: int = assumed(10, "", "candidates refitted at every step of an unknown rig", "4de4b66")
     neighbours: int = assumed(4, "", "sets of causes refitted that differ in two", "4de4b66")
+    more_neighbours: int = assumed(8, "", "the same where sensors are assumed", "7d2f4f9")
     worth_a_refit: float = by_hand(8.0, "cost", "drop by linearisation from which a candidate is refitted",
         "2 at 85fc87b, 8 since e1272d1")
     rival_hope: float = by_hand(0.4, "", "share of a cause's drop from which a rival is refitted", "e1272d1")
@@ -91,6 +95,8 @@ class Criteria:
     powerless: float = by_hand(25.0, "sigma²", "change of prediction under which held-out windows cannot judge",
         "50 at 71b4e15, 25 since e1272d1")
     bars_powerless: float = by_hand(2.0, "bar", "that name an effect which they cannot judge", "71b4e15")
+    clear_of_off: float = calibrated(3.0, "sigma", "by which the strength of a cause must leave its nominal, as stated",
+        "sessions of other rigs, seeds 81580 and 94414 at cf753d8: of 33 causes that were nearer none was hidden")
     judges: int = assumed(6, "", "held-out windows below which they can only contradict: too few to scatter",
         "73d3b90, lone logs under some 20 s")
     tolerances: float = by_hand(2.5, "tolerance", "by which a parameter must leave its nominal", "85fc87b")
@@ -98,6 +104,8 @@ class Criteria:
         "b8eee32; taken for how inexact laws of friction are since 496fb2c")
     watched: float = by_hand(0.25, "s", "up to which no cause may make errors of the pose worse",
         "2fc0d73; one of `HORIZONS_S`")
+    settled: float = assumed(0.25, "", "share of the held-out excess chi² left from which gusts need not be excluded",
+        "5098076, rigs whose disturbances are assumed")
     worse: float = by_hand(0.1, "", "share by which such an error may grow: effects that are there cost no more",
         "2fc0d73")
     even: float = by_hand(0.02, "", "share by which held-out chi² may grow where a twin sticks: one slip makes more",
@@ -117,6 +125,8 @@ class Criteria:
         "73d3b90, rigs whose sensors and disturbances are assumed")
     far_off: float = assumed(25.0, "", "held-out chi² left from which a cause is but suggested: five times the noise",
         "8838ea8: whatever share of the error that is")
+    felt: float = assumed(1.0, "", "held-out chi² that a cause must take away to be sure: as much as noise makes",
+        "8838ea8, rigs whose sensors are assumed")
     comes_again: float = calibrated(1.5, "", "waves along the way from which a force is cogging, not any of its place",
         "6c1d7bc, five seeds of other rigs, 13989 to 96897: six that were there have 2.1 to 12, three 0.8 to 1.0")
     sober: float = by_hand(0.5, "", "confidence left where half is unexplained, or errors grow",

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.builders import CART, Unsearched, guess, lay_bench, load_known, load_rig
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
-from vpptwin.diagnosis.judgement.conclusion import list_passing, share_ahead
+from vpptwin.diagnosis.judgement.conclusion import HARMING, OUTWEIGHED, UNFELT, doubt_gain, list_passing, share_ahead
 from vpptwin.diagnosis.judgement.diagnose import Material, keep_better
 from vpptwin.diagnosis.judgement.errors import PredictionErrors
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
@@ -157,6 +158,66 @@ def test_no_error_ahead_grows(horizon: int, blocks: int, growth: float, scatter:
     after[:, horizon] *= np.exp(2.0 * grown)
     _, found = keep(lambda effects: 1.0 if effects else 50.0, Given(before, after))
     assert bool(found.fit.effects) == kept
+
+
+@pytest.mark.parametrize(
+    ("after", "farther"),
+    [
+        ([1.5, 2.0, 4.2, 9.0], True),
+        ([1.0, 2.0, 4.0, 19.0], False),
+        ([0.3, 2.5, 4.5, 8.0], False),
+        ([0.5, 1.5, 3.5, 7.5], False),
+    ],
+)
+@pytest.mark.parametrize("guessed", [True, False])
+def test_one_window_that_is_disturbed_is_no_veto(after: list[float], farther: bool, guessed: bool) -> None:
+    """Where disturbances are assumed: of ten held-out windows one alone was asked for, and a saturation left out.
+
+    Of what is written in the end it is one: chi² may not be larger, whatever makes it so.
+    """
+
+    class Judges(HeldOut):
+        """Four windows of which this is known; without effects they cost 1, 2, 4 and 8."""
+
+        def __init__(self) -> None:
+            bench = lay_bench([0.0], spec=load_rig() if guessed else load_known())
+            super().__init__(bench, bench)
+            self.errors = CALM
+
+        def chi2_by_window(self, values: Mapping[Any, float]) -> tuple[np.ndarray, np.ndarray]:
+            """Of one degree of freedom each."""
+            return np.array(after if values else [1.0, 2.0, 4.0, 8.0]), np.ones(4)
+
+    assert Judges().is_farther({}, {KEY: 0.3}, False) == (farther if guessed else sum(after) > 15.0)
+    assert Judges().breaks_promise({}, {KEY: 0.3}, False) == (sum(after) > 15.0)
+
+
+@pytest.mark.parametrize(
+    ("chi2", "errors", "doubt"),
+    [((1.46, 1.56), (9.0, 8.9), HARMING), ((144.6, 140.0), (9.0, 8.9), OUTWEIGHED),
+     ((4600.0, 140.0), (9.0, 1.0), ""), ((0.9, 0.9), (9.0, 8.9), UNFELT),
+     ((3.76, 3.74), (9.0, 8.9), OUTWEIGHED), ((1.51, 1.49), (9.0, 8.9), OUTWEIGHED), ((1.02, 1.0), (9.0, 8.9), UNFELT),
+     ((2.2, 0.5), (9.0, 8.9), ""), ((0.78, 0.56), (260.0, 40.0), ""), ((0.21, 0.23), (260.0, 40.0), UNFELT),
+     ((0.78, 0.56), (9.0, 8.5), UNFELT)],
+)  # fmt: skip
+def test_what_a_cause_must_take_away(chi2: tuple[float, float], errors: tuple[float, float], doubt: str) -> None:
+    """More than it leaves, and more than noise makes: of chi², or of errors ahead where windows are short.
+
+    Squares of errors are in multiples of the noise's, in ten blocks alike.
+    """
+
+    class Judges(HeldOut):
+        """The same, and chi²."""
+
+        def __init__(self) -> None:
+            super().__init__(KNOWN, KNOWN)
+            self.errors = Given(*(np.full((10, len(HORIZONS_S)), each) for each in errors))
+
+        def chi2(self, values: Mapping[Any, float]) -> float:
+            """Held out."""
+            return chi2[len(values)]
+
+    assert doubt_gain(Judges(), {}, {KEY: 0.3}) == doubt
 
 
 def test_a_horizon_without_measurements_leaves_no_share() -> None:

@@ -220,12 +220,18 @@ def test_how_strongly_it_blew_elsewhere_does_not_decide(rubbing: HeldOut) -> Non
 
 
 def test_the_truth_is_favoured(rubbing: HeldOut) -> None:
-    """The true friction makes no error worse than none or twice as much; those do."""
+    """The true friction makes no error worse and is favoured over none and twice as much; those are not over it."""
     for other in ({}, DOUBLE):
+        assert rubbing.errors.prefer(other, TRUTH) > 2.0
+        assert rubbing.errors.prefer(TRUTH, other) == pytest.approx(-rubbing.errors.prefer(other, TRUTH))
         assert rubbing.errors.worsens(TRUTH, other)
         assert not rubbing.errors.worsens(other, TRUTH)
     assert not rubbing.errors.worsens(TRUTH, TRUTH)
+    # Chi² from far above the noise to it; not the other way round, nor where nothing changes.
     assert rubbing.chi2({}) > 4.0 > 2.0 > rubbing.chi2(TRUTH)
+    assert rubbing.settles({}, TRUTH)
+    assert not rubbing.settles(TRUTH, {})
+    assert not rubbing.settles({}, {})
 
 
 def test_a_window_that_goes_astray_surprises_less_than_its_square(rubbing: HeldOut) -> None:
@@ -278,8 +284,9 @@ def test_a_twin_that_diverges_is_no_better(rubbing: HeldOut, monkeypatch: pytest
         return np.full_like(predict(variations, sensors_of), np.nan)
 
     judges = HeldOut(rubbing.short, rubbing.errors.bench)
-    assert not judges.errors.worsens({}, TRUTH)
+    assert judges.errors.prefer({}, TRUTH) > 2.0
     monkeypatch.setattr(judges.errors.bench, "predict", diverge)
+    assert judges.errors.prefer(TRUTH, DOUBLE) < -2.0
     assert judges.errors.worsens({}, DOUBLE)
     assert all(np.isfinite(errors[:, :2]).all() for errors in judges.errors.by_channel(DOUBLE).values())
 

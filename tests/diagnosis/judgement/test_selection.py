@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -16,14 +17,19 @@ from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.rivals import (
     evidence_against_rival,
     find_better,
+    find_simpler,
     look_alike,
+    tell_nothing,
     tell_roughness,
     weigh_freedom,
     weigh_rivals,
 )
 from vpptwin.diagnosis.judgement.selection import (
     Selection,
+    accept_cause,
+    choose_cause,
     confirms,
+    find_near,
     fit_together,
     is_cause,
     is_faint,
@@ -136,7 +142,7 @@ class Still(Unsearched):
         return False
 
 
-SEARCH = Still(True)
+SEARCH, OTHER_RIG = Still(True), Still(False)
 
 
 def judge(
@@ -180,17 +186,85 @@ def test_fitted_and_held_out_windows_clear_a_higher_bar_together() -> None:
 
 
 def test_errors_must_not_grow() -> None:
-    """A cause that makes the prediction of held-out poses worse is none."""
+    """A cause that makes the prediction of held-out poses worse is none; on other rigs it must make it better."""
     assert not judge(Judges(10.0, worse=True), 10.0 * BAR, a_coulomb=0.5)
-    assert judge(Judges(10.0), 10.0 * BAR, a_coulomb=0.5)
+    assert judge(Judges(10.0, favour=-1.0), 10.0 * BAR, a_coulomb=0.5)
+    assert not judge(Judges(10.0, favour=-2.0), 10.0 * BAR, None, OTHER_RIG, a_coulomb=0.5)
+    assert judge(Judges(10.0, favour=0.1), 10.0 * BAR, None, OTHER_RIG, a_coulomb=0.5)
 
 
 def test_evidence_against_a_rival() -> None:
-    """Cost, and what held-out windows say beyond a standard error."""
+    """Cost, and what held-out windows say beyond a standard error; on other rigs errors have the last word."""
     pair = fit(100.0, a_coulomb=1.0, a_bias=1.0), fit(130.0, a_viscous=1.0)
     assert evidence_against_rival(SEARCH, Judges(3.0), *pair) == pytest.approx(30.0 + 2.0 * 5.0)  # type: ignore[arg-type]
     assert evidence_against_rival(SEARCH, Judges(-3.0), *pair) == pytest.approx(30.0 - 2.0 * 5.0)  # type: ignore[arg-type]
     assert evidence_against_rival(SEARCH, Judges(-0.5), *pair) == pytest.approx(30.0)  # type: ignore[arg-type]
+    for favour, found in ((-3.0, -9.0), (-1.9, 30.0), (3.0, 30.0), (6.0, 36.0)):
+        judges = Judges(0.0, favour=favour)
+        assert evidence_against_rival(OTHER_RIG, judges, *pair) == pytest.approx(found)  # type: ignore[arg-type]
+        assert evidence_against_rival(SEARCH, judges, *pair) == pytest.approx(30.0)  # type: ignore[arg-type]
+    # They are the last word where the error of the pose does not say otherwise.
+    one, other = fit(300.0, a_bias=1.0), fit(310.0, a_spring=1.0, a_coulomb=1.0)
+    judges = Judges(0.0, favour=-5.0)
+    assert evidence_against_rival(OTHER_RIG, judges, one, other) == -25.0  # type: ignore[arg-type]
+    judges.left = {1: 1.7, 2: 7.9}
+    assert evidence_against_rival(OTHER_RIG, judges, one, other) > 0.0  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("there", "left", "other", "search", "as_good"),
+    [
+        (3e5, 300.0, 329.0, OTHER_RIG, True),
+        (3e5, 300.0, 331.0, OTHER_RIG, False),
+        (350.0, 300.0, 304.0, OTHER_RIG, True),
+        (350.0, 300.0, 306.0, OTHER_RIG, False),  # of the 50 that the cause removes it leaves more than a tenth
+        (3e5, 300.0, 300.0, SEARCH, False),
+    ],
+)
+def test_what_leaves_as_little_of_much_is_as_good(
+    there: float,
+    left: float,
+    other: float,
+    search: Search,
+    as_good: bool,
+) -> None:
+    """Where far more is left than noise makes, on rigs whose noise is assumed."""
+    judges = Judges(0.0)
+    judges.left = {0: there, 2: left, 1: other}
+    fits = fit(300.0), fit(100.0, a_coulomb=1.0, a_bias=1.0), fit(180.0, a_viscous=1.0)
+    assert tell_nothing(search, judges, *fits, 80.0) == (np.inf if as_good else 0.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("gain", "rival", "as_good"), [(0.5, "a_spring", True), (3.0, "a_spring", False), (0.5, "b_coulomb", False)]
+)
+def test_look_alikes_are_told_apart_by_more_than_a_point(gain: float, rival: str, as_good: bool) -> None:
+    """Twice the chi² of the points of two fits, but held-out windows with all that these leave open favour neither."""
+    judges, fits = Judges(0.0), (fit(300.0), fit(100.0, a_viscous=1.0), fit(180.0, **{rival: 1.0}))
+    left = {id(each.values): chi2 for each, chi2 in zip(fits, (3e5, 300.0, 600.0))}
+    judges.chi2 = lambda values: left[id(values)]  # type: ignore[method-assign]
+    judges.weigh = lambda before, after: (gain, 1.0)  # type: ignore[method-assign]
+    assert tell_nothing(OTHER_RIG, judges, *fits, 80.0) == (np.inf if as_good else 0.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("spread", "left", "other", "counts"),
+    [
+        (6.0, 3.0, 3.1, 1.5625),  # standard errors: 32/24.8, squared, less by one degree of freedom
+        (1.0, 3.0, 3.1, 32.0 / CRITERIA.temper),
+        (6.0, 3.0, 3.3, 32.0 / CRITERIA.temper),  # it leaves a tenth more error
+        (6.0, 1.0, 1.05, 1.5625),
+    ],
+)
+def test_evidence_that_scatters_tells_little(spread: float, left: float, other: float, counts: float) -> None:
+    """Sixteen windows favour a cause by 2 each and scatter about that: so much is left of 32, over the temper."""
+    drops = 2.0 + spread * np.tile([1.0, -1.0], 8)
+    search, judges, cause, rival = Still(False), Judges(0.0), fit(100.0, a_coulomb=1.0), fit(132.0, a_bias=1.0)
+    search.cost_by_window = lambda fit: drops if fit is rival else 0.0 * drops
+    judges.chi2 = lambda values: {0: 300.0}.get(len(values), other if rival.values is values else left)  # type: ignore
+    nothing = tell_nothing(search, judges, fit(400.0), cause, rival, 32.0)  # type: ignore[arg-type]
+    told = (32.0 - max(nothing, 0.0)) / CRITERIA.temper
+    assert told == pytest.approx(counts, rel=0.1)
 
 
 def test_freedom_tells_no_weight_hung_on_from_one_that_lies_elsewhere() -> None:
@@ -240,6 +314,17 @@ def test_held_out_windows_must_agree(gain: float, drop: float, named: bool) -> N
 
 
 @pytest.mark.parametrize(
+    ("known", "left", "gain", "named"),
+    [(False, 1.7, 0.5, True), (True, 1.7, 0.5, False), (False, 8.0, 0.5, False), (False, 1.7, -1.1, False)],
+)
+def test_gusts_that_are_but_assumed_stand_for_no_cause(known: bool, left: float, gain: float, named: bool) -> None:
+    """What takes nearly all of a large chi² away is named beside gusts that could have made it, if none contradicts."""
+    judges = Judges(gain)
+    judges.left = {0: 28.0, 1: left}
+    assert judge(judges, 1.2 * BAR, None, Still(known), a_coulomb=0.5) is named
+
+
+@pytest.mark.parametrize(
     ("gain", "drop", "named"),
     [
         (0.0, 2.1 * BAR, True),
@@ -254,14 +339,41 @@ def test_held_out_windows_that_cannot_judge_are_not_asked(gain: float, drop: flo
     assert not judge(Judges(0.0, 1.1 * CRITERIA.powerless), 2.1 * BAR, a_coulomb=0.5)
 
 
-@pytest.mark.parametrize("gain", [2.1, 1.9, -1.0])
-def test_what_held_out_log_alone_does_not_show_is_suggested(gain: float) -> None:
-    """Fitted windows may stand alone, but not for a place that was looked for along a joint: chance always is there."""
+@pytest.mark.parametrize(
+    ("gain", "favour", "confirmed"), [(2.1, 0.1, True), (2.1, -0.1, False), (1.9, 0.1, False), (-1.0, 3.0, False)]
+)
+def test_what_held_out_log_alone_does_not_show_is_suggested(gain: float, favour: float, confirmed: bool) -> None:
+    """Two standard errors, and smaller errors; on the drone, whose gusts are known, fitted windows may stand alone.
+
+    But not for a place that was looked for along a joint: somewhere chance always is.
+    """
     before, after = fit(50.0), fit(-100.0, a_coulomb=1.0)
-    judges: Any = Judges(gain)
+    judges: Any = Judges(gain, favour=favour)
+    assert confirms(OTHER_RIG, judges, before, after) == confirmed
     assert confirms(SEARCH, judges, before, after)
     somewhere = tuple(replace(u, effect=replace(u.effect, placed=True)) for u in UNKNOWNS)
     assert confirms(Still(True, somewhere), judges, before, after) == (gain > CRITERIA.sigmas_held_out)
+
+
+@pytest.mark.parametrize(
+    ("drop", "gain", "favour", "named"),
+    [
+        (0.4 * STRONG, 4.0, 0.1, True),
+        (0.4 * STRONG, 1.7, 0.1, True),  # 40 together, two fifths of the way from two to one standard error: 1.58
+        (0.4 * STRONG, 1.5, 0.1, False),
+        (0.4 * STRONG, 4.0, -0.9, True),
+        (0.4 * STRONG, 4.0, -1.1, False),
+        (1.1 * STRONG, 4.0, -1.1, True),
+        (1.1 * STRONG, 4.0, -2.1, False),
+        (0.9 * STRONG, 1.9, -1.1, True),  # both together are overwhelming
+        (0.9 * STRONG, 1.5, -1.1, False),
+        (1.1 * STRONG, -3.0, 1.9, False),
+        (1.1 * STRONG, -3.0, 2.1, True),
+    ],
+)
+def test_on_other_rigs_errors_have_the_last_word(drop: float, gain: float, favour: float, named: bool) -> None:
+    """They veto by a standard error, by two what is overwhelming, and outvote by two windows that contradict."""
+    assert judge(Judges(gain, favour=favour), drop, search=OTHER_RIG, a_coulomb=0.5) is named
 
 
 @pytest.mark.parametrize(("y", "faint"), [(0.0, True), (2e-4, True), (0.008, False), (-0.008, False)])
@@ -287,6 +399,50 @@ def test_lopsided_friction_and_a_force_beside_friction_are_one_law() -> None:
     assert rival.confidence == 0.5
 
 
+def test_what_falls_behind_is_heard_where_no_other_is_left() -> None:
+    """On another rig; the leader makes errors grow. On the drone, and where a cause was found, nobody is asked."""
+    before = fit(50.0)
+    step = Step(before, {"a.coulomb": fit(-100.0, a_coulomb=1.0)}, {"a.bias": fit(20.0, a_bias=1.0)})
+
+    class Half(Judges):
+        def worsens(self, _: object, after: dict) -> bool:
+            return any(effect == "a.coulomb" for effect, _ in after)
+
+    def judged(step: Step) -> Step:
+        return Step(step.before, step.tried | step.behind)
+
+    for search, heard in ((OTHER_RIG, "a.bias"), (SEARCH, None)):
+        asking = copy(search)
+        asking.judge_behind = judged  # type: ignore[method-assign]
+        found, accepted = accept_cause(asking, Half(10.0, favour=3.0), step, {})  # type: ignore[arg-type]
+        assert accepted == heard
+        assert set(found.tried) == {"a.coulomb"} | ({"a.bias"} if heard else set())
+
+
+def test_all_windows_together_choose_where_errors_have_the_last_word() -> None:
+    """Fitted ones like a dead band better, held-out ones dry friction, by more; the drone's go by the fitted ones."""
+    before = fit(500.0)
+    step = Step(before, {"a.coulomb": fit(390.0, a_coulomb=1.0), "a.bias": fit(360.0, a_bias=1.0)})
+
+    class Favour(Judges):
+        def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool]) -> tuple[float, float]:
+            gain = {frozenset[str](): 0.0, frozenset({"a.coulomb"}): 80.0, frozenset({"a.bias"}): 40.0}
+            return gain[after[0].effects] - gain[before[0].effects], 5.0
+
+    for search, chosen in ((OTHER_RIG, "a.coulomb"), (SEARCH, "a.bias")):
+        assert choose_cause(search, Favour(0.0, favour=1.0), step, {}) == chosen  # type: ignore[arg-type]
+    assert find_near(OTHER_RIG, step, "a.bias") == {"a.coulomb"}  # type: ignore[arg-type]
+    assert find_near(SEARCH, step, "a.bias") == frozenset()  # type: ignore[arg-type]
+
+
+def test_of_two_that_nothing_tells_apart_the_simpler_is_named() -> None:
+    """A spring with a place of rest and a constant force, where far more is left than noise makes."""
+    evidence, alike = {"a.spring": {"a.bias": 30.0, "a.stiction": -2.0}}, {"a.bias": np.inf, "a.stiction": np.inf}
+    assert find_simpler(OTHER_RIG, evidence, {"a.spring": alike}) == ("a.spring", "a.bias")  # type: ignore[arg-type]
+    assert find_simpler(OTHER_RIG, evidence, {"a.spring": dict.fromkeys(alike, 3.0)}) is None  # type: ignore[arg-type]
+    assert find_simpler(OTHER_RIG, {"a.bias": {"a.spring": 1.0}}, {"a.bias": {"a.spring": np.inf}}) is None  # type: ignore[arg-type]
+
+
 def test_kin_of_a_cause_must_bring_a_good_part_of_it() -> None:
     """Beside sliding friction that brought 1000, breakaway must clear the bar by 50; another joint's need not."""
     drops, more = {"a.coulomb": 1000.0}, HINT * BAR + CRITERIA.kinship * 1000.0
@@ -307,12 +463,6 @@ def test_look_alikes_are_those_of_the_catalogue_and_frictions_of_one_joint() -> 
     assert not look_alike(SEARCH, "a.bias", "a.spring")
 
 
-def select(evidence: float, *rivals: Rival) -> Selection:
-    """A single cause with its evidence and rivals."""
-    cause = fit(0.0, a_coulomb=1.0)
-    return Selection(cause, Step(cause, {}), {"a.coulomb": list(rivals)}, {"a.coulomb": []}, {"a.coulomb": evidence})
-
-
 def test_rivals_and_confidence_by_hand() -> None:
     """4 worse than the cause is exp(-2/T) as probable, 9 T or more is out, better is as good; they sum to one."""
     evidence = {"a.viscous": 4.0, "a.spring": -1.0, "a.bias": 1.01 * CRITERIA.rival_sigma**2 * CRITERIA.temper}
@@ -330,6 +480,12 @@ def test_rivals_and_confidence_by_hand() -> None:
     assert select(6.0, *rivals).confidence("a.coulomb") == pytest.approx(0.6 * (1.0 - doubt))
     assert select(1e9).confidence("a.coulomb") == 0.999
     assert select(-3.0, *rivals).confidence("a.coulomb") == pytest.approx(0.3)
+
+
+def select(evidence: float, *rivals: Rival) -> Selection:
+    """A single cause with its evidence and rivals."""
+    cause = fit(0.0, a_coulomb=1.0)
+    return Selection(cause, Step(cause, {}), {"a.coulomb": list(rivals)}, {"a.coulomb": []}, {"a.coulomb": evidence})
 
 
 def test_a_rival_that_is_clearly_better_takes_the_place() -> None:
@@ -452,6 +608,44 @@ def test_a_suspect_that_does_not_last_is_taken_in_once() -> None:
     assert found.fit.effects == {"a.coulomb", "b.coulomb"}
     assert script.tried == ["a.coulomb", "a.bias", "b.coulomb"]
     assert found.left_out == frozenset()
+
+
+@pytest.mark.parametrize(("search", "size", "doubt"), [(OTHER_RIG, 1.0, 0.9), (SEARCH, 1e-6, 0.1)])
+def test_a_cause_that_fades_beside_a_later_one_goes(search: Search, size: float, doubt: float) -> None:
+    """Clear of nothing when it was taken in; a standard error of it, or within its tolerance, in the end."""
+
+    class Fading(Script):
+        def __init__(self, drops: dict[str, float]) -> None:
+            super().__init__(drops, set(drops))
+            self.bench = search.bench
+
+        def of(self, effects: frozenset[str]) -> Fit:
+            found = super().of(effects)
+            fades = [key for key in found.values if key[0] == "a.bias" and len(effects) > 1]
+            values, std = dict(found.values), dict.fromkeys(found.values, 0.1)
+            return replace(found, values=values | dict.fromkeys(fades, size), std=std | dict.fromkeys(fades, doubt))
+
+    assert select_from(Fading({"a.bias": 900.0, "b.coulomb": 500.0}), StrictJudges()).fit.effects == {"b.coulomb"}
+
+
+@pytest.mark.parametrize(("doubt", "named"), [(0.1, "a.bias"), (0.9, "a.coulomb")])
+def test_a_rival_that_would_fade_takes_no_place(doubt: float, named: str) -> None:
+    """Likelier than a cause, but so uncertain that it would be dropped as faint next, and nothing be named."""
+
+    class Tempting(Script):
+        def extend(self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "", **_: object) -> Step:
+            if against != "a.coulomb":
+                return super().extend(fit, barred | {"a.bias"}, against)
+            rival = self.of(frozenset({"a.bias"}))
+            return Step(fit, {"a.bias": replace(rival, std=dict.fromkeys(rival.values, doubt))})
+
+    judges = StrictJudges()
+    judges.favour = 0.0
+    found = select_from(Tempting({"a.coulomb": 500.0, "a.bias": 900.0}, {"a.coulomb", "a.bias"}), judges)
+    assert found.fit.effects == {named}
+    judges.harmful = {"a.bias"}  # once it is fitted by itself it leaves more of held-out log, however likely it was
+    found = select_from(Tempting({"a.coulomb": 500.0, "a.bias": 900.0}, {"a.coulomb", "a.bias"}), judges)
+    assert found.fit.effects == {"a.coulomb"}
 
 
 def test_causes_that_predict_other_logs_worse_are_left_out() -> None:

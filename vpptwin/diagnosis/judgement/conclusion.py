@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -11,6 +11,7 @@ import numpy as np
 from vpptwin.diagnosis.evidence.contradiction import weigh_causes
 from vpptwin.diagnosis.evidence.logged_inputs import describe_input_error, describe_turned, describe_weak_inputs
 from vpptwin.diagnosis.evidence.other_motors import describe_other_motors
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.leftover import share_left
 from vpptwin.diagnosis.judgement.power import judge_power
@@ -38,6 +39,9 @@ SOFT = (
 UNCONFIRMED = "{}: held-out data alone do not show it, so it is only suggested"
 PASSING = "{}: a wave that does not repeat along the way may be any force that depends on place; only suggested"
 UNRIVALLED = "{}: not every rival was fitted in its place; only suggested"
+UNFELT = "{}: it removes less of the held-out error than sensor noise causes, so it is only suggested"
+HARMING = "{}: the held-out error is smaller without it, so its confidence is at most 50 %"
+OUTWEIGHED = "{}: more of the held-out error stays unexplained than it explains, so it is only suggested"
 
 
 def conclude(
@@ -57,8 +61,9 @@ def conclude(
     """
     fit, criteria, guessed = selection.fit, search.criteria, search.bench.guessed
     before, after = held_out.score({}), held_out.score(fit.values)
+    # Gusts that are known to blow make errors, too.
     compared = selection.probability is not None  # with the noise that is left as an unknown of every hypothesis
-    missed = after.chi2 > criteria.missed and unexplained.significant  # disturbances of a usual size make errors, too
+    missed = after.chi2 > criteria.missed and ((guessed and not compared) or unexplained.significant)
     denied: dict[str, str] = {}
     if guessed:
         seen = weigh_causes(spec, measurements, fit.values, criteria)
@@ -79,9 +84,11 @@ def conclude(
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, {})
         order[effect] = held_out.errors.gain(fit.values, rest) if compared else gain
+        if guessed and not compared and (doubt := doubt_gain(held_out, rest, fit.values)):
+            doubts[effect] = doubts.get(effect, doubt) if doubt == UNFELT else doubt
         selected = selection.confidence(effect)
         confidence = min(sober * selected, criteria.suggested if effect in doubts else most)
-        if effect in denied:
+        if effect in denied or doubts.get(effect) == HARMING:
             confidence = min(confidence, criteria.sober)
         causes.append(tell_cause(search, selection, effect, confidence, gain, interval))
     causes = sorted(causes, key=lambda cause: (cause.effect in selection.unconfirmed, -order[cause.effect]))
@@ -167,6 +174,17 @@ def tell_cause(
     kind, sure = selection.kinds.get(effect, ("", 0.0))
     sure = min(max(doubt * sure, confidence), search.criteria.most_confident) if kind else 0.0
     return Cause(effect, confidence, found, gain, rivals, own[0].effect.summary, interval, 0, kind, sure)
+
+
+def doubt_gain(held_out: HeldOut, without: Mapping[Key, float], values: Mapping[Key, float]) -> str:
+    """Why a cause, of a twin `without` it and one with all `values`, is but suggested by its gain; "" if it is more."""
+    after = held_out.chi2(values)
+    drop = held_out.chi2(without) - after
+    if drop < 0.0 < after - 1.0:
+        return HARMING
+    if after - 1.0 > drop:
+        return OUTWEIGHED
+    return "" if drop >= held_out.criteria.felt or (drop > 0.0 and held_out.errors.feels(without, values)) else UNFELT
 
 
 def find_misfit(search: Search, held_out: HeldOut, fit: Fit, chi2: float) -> Misfit:

@@ -269,8 +269,9 @@ def infer(
 
 
 def is_followed(spec: TwinSpec) -> bool:
-    """Whether windows are simulated about the motion that is likeliest: of the drone alone, see docs/inference.md."""
-    return spec.robot.disturbance.known
+    """Whether windows are simulated about the motion that is likeliest: of the drone, of bodies that turn freely."""
+    robot = spec.robot
+    return robot.disturbance.known or any(dof + 3 not in robot.driven for dof in robot.afloat)
 
 
 def judge(

@@ -199,24 +199,44 @@ class HeldOut:
         return improvement(found[0], found[1], self.criteria.most_drop)
 
     def is_worse(self, before: Mapping[Key, float], after: Mapping[Key, float], sticks: bool) -> bool:
-        """Whether a twin with `after` predicts worse than one with `before`: nearby, or by its chi²."""
-        return self.errors.worsens(before, after) or self.chi2(after) > self._most(before, sticks)
+        """Whether a twin with `after` predicts worse than one with `before`: nearby, or altogether."""
+        return self.errors.worsens(before, after) or self.is_farther(before, after, sticks)
+
+    def is_farther(self, before: Mapping[Key, float], after: Mapping[Key, float], sticks: bool) -> bool:
+        """Whether a twin with `after` has the larger chi²; below 1, the sensors' noise, none is.
+
+        Where it sticks, when a slider slips that another twin lets glide makes chi² up to `even` larger by chance.
+        Where disturbances are but assumed, so does a single window that one disturbs: all of them must show it.
+        """
+        if self.chi2(after) <= max((1.0 + self.criteria.even * sticks) * self.chi2(before), 1.0):
+            return False
+        if not self.short.guessed:
+            return True
+        drop, error = self.drop_of_chi2(before, after)
+        return drop < -self.criteria.sigmas_against * error
 
     def breaks_promise(self, before: Mapping[Key, float], after: Mapping[Key, float], sticks: bool) -> bool:
         """Whether a twin with `after` may not be written in place of one with `before`: its held-out chi² is larger.
 
-        Or an error of the pose ahead is, beyond chance. What is written predicts as well as what was given, or
-        better.
+        Or an error of the pose ahead is, beyond chance. No window is excused here, as in `is_farther`: what is written
+        predicts as well as what was given, or better. The exceptions are chi² below 1, the sensors' noise, and
+        `even` where it sticks.
         """
-        most = self._most(before, sticks)
+        most = max((1.0 + self.criteria.even * sticks) * self.chi2(before), 1.0)
         return self.chi2(after) > most * (1.0 + ROUNDING) or self.errors.grow(before, after)
 
-    def _most(self, before: Mapping[Key, float], sticks: bool) -> float:
-        """Chi² above which a twin is worse than one with `before`; below 1, the sensors' noise, none is.
+    def settles(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
+        """Whether most of a chi² far above the noise goes, and not by chance: gusts are but assumed to make it."""
+        (first, second), criteria = map(self.chi2, (before, after)), self.criteria
+        if first <= criteria.missed or second - 1.0 > criteria.settled * (first - 1.0):
+            return False
+        drop, error = self.drop_of_chi2(before, after)
+        return drop > criteria.sigmas_held_out * error
 
-        Where it sticks, when a slider slips that another twin lets glide makes chi² up to `even` larger by chance.
-        """
-        return max((1.0 + self.criteria.even * sticks) * self.chi2(before), 1.0)
+    def drop_of_chi2(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> tuple[float, float]:
+        """Drop in squares over sensor variance, summed over the short windows, and its standard error."""
+        given, extended = (self.chi2_by_window(values)[0] for values in (before, after))
+        return improvement(given, extended, self.criteria.most_drop)
 
     def miss(self, values: Mapping[Key, float]) -> tuple[np.ndarray, Track | None]:
         """Measured less predicted in the short windows, (K, M), and the track of a twin with `values`, if any."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from vpptwin.diagnosis.criteria import Criteria
+from vpptwin.diagnosis.judgement.blocks import blocks_of, sum_blocks
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.fits import Fit
@@ -23,6 +24,14 @@ def is_powerless(held_out: HeldOut, before: Fit, after: Fit) -> bool:
     return bool((changed**2).sum() < after.frame.criteria.powerless)
 
 
+def trusts_errors(search: Search) -> bool:
+    """Whether errors on held-out flights have the last word.
+
+    How gusts push on rigs other than the drone is assumed, not known, and evidence stands and falls with that.
+    """
+    return search.bench.guessed
+
+
 def compare(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> tuple[float, float]:
     """Drop in held-out surprise from one fit to another, and its standard error."""
     fits = [(fit, search.sticks(fit.effects)) for fit in (before, after)]
@@ -30,9 +39,71 @@ def compare(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> tuple
 
 
 def evidence_against_rival(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> float:
-    """Evidence for a fit against a rival: on the fitted windows, and on held-out ones beyond a standard error."""
+    """Evidence for a fit against a rival: on the fitted windows, and on the held-out ones beyond a standard error.
+
+    Where errors have the last word, it is theirs if they differ by `sigmas_held_out` standard errors, and chi² does not
+    say otherwise; and a rival that makes them grow is never better.
+    """
     gain, error = compare(search, held_out, rival, fit)
-    return fit.evidence_against(rival) + float(np.sign(gain) * max(abs(gain) - error, 0.0))
+    evidence = fit.evidence_against(rival) + float(np.sign(gain) * max(abs(gain) - error, 0.0))
+    if not trusts_errors(search):
+        return evidence
+    sigmas = held_out.errors.prefer(rival.values, fit.values)
+    better, worse = (fit, rival) if sigmas > 0.0 else (rival, fit)
+    contradicted = held_out.is_farther(worse.values, better.values, False)
+    if abs(sigmas) > search.criteria.sigmas_held_out and not contradicted:
+        evidence = float(np.sign(sigmas)) * max(float(np.sign(sigmas)) * evidence, sigmas**2)
+    return max(evidence, 0.0) if held_out.errors.worsens(fit.values, rival.values) else evidence
+
+
+def tell_nothing(
+    search: Search, held_out: HeldOut, without: Fit, fit: Fit, rival: Fit, evidence: float
+) -> float:  # fmt: skip
+    """How much of the evidence for a cause against a rival that leaves no more held-out error tells nothing.
+
+    Where errors have the last word and far more is left than noise makes, nothing tells that a model of noise says of
+    it. Else evidence counts by its standard errors, as windows scatter (Vuong, Likelihood ratio tests for model
+    selection and non-nested hypotheses, 1989): noise that is not as modelled favours one as well as the other.
+
+    Args:
+        search: of all fits.
+        held_out: the windows that judge.
+        without: the fit without that cause.
+        fit: all causes.
+        rival: another in the place of that cause.
+        evidence: for all causes against that.
+    """
+    if not trusts_errors(search):
+        return 0.0
+    criteria = search.criteria
+    there, left, other = (held_out.chi2(each.values) - 1.0 for each in (without, fit, rival))
+    if other >= left + criteria.worse * min(max(left, 1.0), there - left) and not is_open(search, held_out, fit, rival):
+        return 0.0
+    if left > criteria.missed:
+        return float("inf")
+    found, error = weigh_windows(search, held_out, fit, rival)
+    return evidence - criteria.temper * max(found / max(error, 1e-9), 0.0) ** 2
+
+
+def is_open(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> bool:
+    """Whether two fits differ in effects that are hard to tell apart, and held-out windows do not favour the first.
+
+    Not by a standard error, with all that either leaves open: errors are those of a point, which chance sets.
+    """
+    pairs = [(one, other) for one in fit.effects - rival.effects for other in rival.effects - fit.effects]
+    if not any(look_alike(search, one, other) for one, other in pairs):
+        return False
+    gain, error = compare(search, held_out, rival, fit)
+    return gain <= error
+
+
+def weigh_windows(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> tuple[float, float]:
+    """Evidence for a fit against a rival, of fitted and held-out windows, and its standard error by their scatter."""
+    gain, error = compare(search, held_out, rival, fit)
+    drop = search.cost_by_window(rival) - search.cost_by_window(fit)
+    sums = sum_blocks(drop[:, None], blocks_of(search.bench.windows, search.criteria.block))[:, 0]
+    scatter = np.sqrt(len(sums)) * sums.std(ddof=1) if len(sums) > 1 else np.inf
+    return float(fit.evidence_against(rival) + gain), float(np.hypot(scatter, error))
 
 
 def look_alike(search: Search, first: str, second: str) -> bool:
@@ -58,6 +129,20 @@ def find_better(
     ]
     least, effect, rival = min(behind, default=(0.0, "", ""))
     return (effect, rival) if least < 0.0 else None
+
+
+def find_simpler(
+    search: Search, evidence: Mapping[str, Mapping[str, float]], rough: Mapping[str, Mapping[str, float]]
+) -> tuple[str, str] | None:
+    """A cause and a rival of fewer parameters that nothing tells from it, and should be named in its place; or None."""
+    number = {u.effect.id: len(u.effect.parameters) for u in search.unknowns}
+    alike = [
+        (number[rival] - number[effect], found, effect, rival)
+        for effect, row in evidence.items()
+        for rival, found in row.items()
+        if np.isinf(rough[effect][rival]) and number[rival] < number[effect]
+    ]
+    return min(alike)[2:] if alike else None
 
 
 def handicap(search: Search, effect: str, rival: str, earlier_drops: Mapping[str, float]) -> float:

@@ -9,15 +9,20 @@ from functools import partial
 
 import numpy as np
 
+from vpptwin.diagnosis.criteria import Criteria
 from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.rivals import (
     compare,
     evidence_against_rival,
     find_better,
+    find_simpler,
+    handicap,
     is_powerless,
     look_alike,
+    tell_nothing,
     tell_roughness,
+    trusts_errors,
     weigh_freedom,
     weigh_rivals,
 )
@@ -112,6 +117,7 @@ class Choosing:
         left_out: the last of these.
         drops: cause → drop in cost when it was added, or of what it took the place of.
         near: cause → suspects that came near it then, or made way for it.
+        seen: sets of causes.
         first: every suspect's drop in cost as the only cause.
         steps, swaps: how many suspects were looked for, and how many causes were exchanged.
         passed: cause → drop in cost as it passed for one, and by how much others tried then fell short of that.
@@ -124,6 +130,7 @@ class Choosing:
         self.barred, self.left_out = frozenset[str](), frozenset[str]()
         self.drops: dict[str, float] = {}
         self.near = defaultdict[str, frozenset[str]](frozenset)
+        self.seen: set[frozenset[str]] = set()
         self.first: list[tuple[str, float]] = []
         self.steps = self.swaps = 0
         self.passed: dict[str, tuple[float, dict[str, float]]] = {}
@@ -141,6 +148,7 @@ class Choosing:
     def go_on(self) -> Selection:
         """The causes for which nothing better is found."""
         while True:
+            self.seen.add(self.fit.effects)
             if self.add() or self.drop_harmful() or self.drop_faint():
                 continue
             self.stage("checking rivals")
@@ -150,10 +158,14 @@ class Choosing:
             }
             weigh = partial(evidence_against_rival, self.search, self.held_out, self.fit)
             evidence = {e: {r: weigh(tried) for r, tried in step.tried.items()} for e, step in replaced.items()}
-            if self.swap(replaced, evidence):
+            lasting = self.list_lasting(replaced, evidence)
+            if self.swap(replaced, lasting):
                 continue
             beside = {effect: self.fit.evidence_against(step.before) for effect, step in replaced.items()}
             rough = self.tell_roughness(replaced, evidence, beside)
+            simpler = find_simpler(self.search, lasting, rough) if self.may_swap() else None
+            if simpler is not None and exchange(self.fit, *simpler) not in self.seen and self.put(*simpler, replaced):
+                continue
             return self.conclude(replaced, evidence, beside, rough)
 
     def add(self) -> bool:
@@ -162,17 +174,39 @@ class Choosing:
         self.stage(f"trying candidates (named: {', '.join(sorted(fit.effects)) or 'nothing yet'})")
         step = self.search.extend(fit, self.barred)
         self.first, self.steps = self.first or rank_first(self.search, step), self.steps + 1
-        accepted = choose_cause(self.search, self.held_out, step, self.drops)
+        step, accepted = accept_cause(self.search, self.held_out, step, self.drops)
         self.deadline.worth = True  # every suspect has been tried, and held against held-out windows
         if accepted is None or len(fit.effects) >= criteria.most_causes or self.steps >= criteria.most_steps:
             return False
         self.pending = step.tried[accepted]
         short = {other: self.pending.evidence_against(tried) for other, tried in step.tried.items()}
         self.passed[accepted] = step.drop(accepted), short
-        self.fit, self.pending = self.search.drop_superfluous(self.search.reframe(self.pending)), None
+        taken = self.take(self.pending, {accepted: find_near(self.search, step, accepted)})
+        self.pending = None
+        if not taken:
+            self.barred, self.left_out = self.barred | {accepted}, self.left_out | {accepted}
+            return True
         self.drops[accepted] = step.drop(accepted)
         # What made way does not come back, nor what did not last: it would be taken in again and again.
         self.barred |= (step.before.effects | {accepted}) - self.fit.effects
+        return True
+
+    def take(self, found: Fit, near: dict[str, frozenset[str]]) -> bool:
+        """Make what lasts of other causes those at hand; tells whether it did.
+
+        Where errors have the last word it does not if they leave clearly more of held-out log: in a frame of its own,
+        with other weights and noise, a fit that was better may be far worse.
+
+        Args:
+            found: the other causes.
+            near: cause → suspects that came near it, where this is news.
+        """
+        known = defaultdict(frozenset, self.near) | near
+        other = prune(self.search, self.held_out, found, known)
+        sticks = self.search.sticks(other.effects)
+        if trusts_errors(self.search) and self.held_out.is_farther(self.fit.values, other.values, sticks):
+            return False
+        self.fit, self.near = other, known
         return True
 
     def drop_harmful(self) -> bool:
@@ -199,25 +233,48 @@ class Choosing:
         self.barred |= faint
         return bool(faint)
 
+    def list_lasting(
+        self, replaced: Mapping[str, Step], evidence: Mapping[str, Mapping[str, float]]
+    ) -> Mapping[str, Mapping[str, float]]:
+        """The evidence against rivals that pass for causes in a cause's place, where errors have the last word."""
+        if not trusts_errors(self.search):
+            return evidence
+        passes = partial(is_cause, self.search, self.held_out)
+        return {
+            effect: {r: found for r, found in row.items() if passes(replaced[effect], r, self.drops)}
+            for effect, row in evidence.items()
+        }
+
+    def may_swap(self) -> bool:
+        """Whether one cause may yet take the place of another."""
+        criteria = self.search.criteria
+        return self.swaps < (criteria.most_steps if trusts_errors(self.search) else criteria.most_swaps)
+
     def swap(self, replaced: Mapping[str, Step], evidence: Mapping[str, Mapping[str, float]]) -> bool:
         """Put a better rival in the place of a cause, or a better set of causes that differs in two."""
-        better = find_better(self.search, evidence, self.drops)
-        if better is not None and self.swaps < self.search.criteria.most_swaps:
-            self.put(*better, replaced)
+        better = find_better(self.search, evidence, self.drops) if self.may_swap() else None
+        if better is not None and trusts_errors(self.search) and exchange(self.fit, *better) in self.seen:
+            better = None  # evidence and errors rank in a circle
+        if better is not None and self.put(*better, replaced):
             return True
         other = exchange_causes(self.search, self.held_out, self.fit, self.barred, self.stage)
         if other is None or self.steps + self.swaps >= self.search.criteria.most_steps:
             return False
-        self.fit = self.search.drop_superfluous(self.search.reframe(other))
+        if not self.take(other, {}):
+            return False
         self.swaps += 1
         return True
 
-    def put(self, cause: str, rival: str, replaced: Mapping[str, Step]) -> None:
-        """Put a rival in the place of a cause."""
+    def put(self, cause: str, rival: str, replaced: Mapping[str, Step]) -> bool:
+        """Put a rival in the place of a cause; tells whether it stays there."""
         self.swaps += 1
-        self.near[rival] = self.near[cause] | {cause}
-        self.fit = self.search.drop_superfluous(self.search.reframe(replaced[cause].tried[rival]))
+        if not self.take(replaced[cause].tried[rival], {rival: self.near[cause] | {cause}}):
+            self.seen.add(exchange(self.fit, cause, rival))
+            return False
+        if trusts_errors(self.search):  # what they voted out does not come back on evidence
+            self.barred |= {cause}
         self.drops[rival] = self.drops.get(cause, 0.0)
+        return True
 
     def tell_roughness(
         self, replaced: Mapping[str, Step], evidence: Mapping[str, Mapping[str, float]], beside: Mapping[str, float]
@@ -226,8 +283,10 @@ class Choosing:
         rough = {e: {r: tell_roughness(self.search, e, r, beside) for r in row} for e, row in evidence.items()}
         for effect, step in replaced.items():
             for rival, tried in step.tried.items():
+                told = step.before, self.fit, tried, evidence[effect][rival]
+                nothing = tell_nothing(self.search, self.held_out, *told)
                 freedom = weigh_freedom(self.search, self.fit, tried, effect, rival)
-                rough[effect][rival] = max(rough[effect][rival], freedom)
+                rough[effect][rival] = max(rough[effect][rival], nothing, freedom)
         return rough
 
     def conclude(
@@ -265,6 +324,28 @@ def rank_first(search: Search, first: Step) -> list[tuple[str, float]]:
     return sorted(found.items(), key=lambda item: -item[1])
 
 
+def exchange(fit: Fit, effect: str, rival: str) -> frozenset[str]:
+    """The effects of a fit with a rival in the place of one."""
+    return fit.effects - {effect} | {rival}
+
+
+def prune(search: Search, held_out: HeldOut, fit: Fit, near: dict[str, frozenset[str]]) -> Fit:
+    """A fit in a frame of its own without what it can do without, on all windows, which is near what stays."""
+    if not trusts_errors(search):
+        return search.drop_superfluous(settle(search, fit))
+    weigh = partial(evidence_against_rival, search, held_out)
+    lesser = search.drop_superfluous(settle(search, fit), weigh)
+    for effect in lesser.effects:
+        near[effect] |= fit.effects - lesser.effects
+    return lesser
+
+
+def settle(search: Search, fit: Fit) -> Fit:
+    """A fit in a frame of its own; several laws of friction from many places, unless motion is followed in the end."""
+    framed = search.reframe(fit)
+    return search.refine(framed) if search.bench.track is None else framed
+
+
 def impose_causes(search: Search, effects: Sequence[str]) -> Selection:
     """Fit exactly these effects, whatever the evidence for them: what somebody who knows the truth would find."""
     first = rank_first(search, search.extend(search.start))
@@ -293,7 +374,8 @@ def exchange_causes(
 ) -> Fit | None:  # fmt: skip
     """A set of causes that differs in two and is better, on the fitted windows and not worse on the others; or None.
 
-    Two wrong laws may hold against the right ones: no single exchange leads from one set to the other.
+    Two wrong laws may hold against the right ones: no single exchange leads from one set to the other. Of many sets
+    one fits by chance: where errors have the last word, the other windows have to show that it is better.
     """
     if not fit.effects:
         return None
@@ -310,9 +392,36 @@ def exchange_causes(
     return best[1]
 
 
+def accept_cause(
+    search: Search, held_out: HeldOut, step: Step, earlier_drops: Mapping[str, float]
+) -> tuple[Step, str | None]:
+    """The suspect that becomes a cause, of a step in which it is judged; None for none.
+
+    Of two effects that hide each other either alone may bring less than a wrong one which held-out log contradicts:
+    where errors have the last word, those that fall behind are heard too if no other is left.
+    """
+    accepted = choose_cause(search, held_out, step, earlier_drops)
+    if accepted is not None or not (step.behind and trusts_errors(search)):
+        return step, accepted
+    late = search.judge_behind(replace(step, tried={}))
+    accepted = choose_cause(search, held_out, late, earlier_drops)
+    return replace(late, tried=step.tried | late.tried), accepted
+
+
 def choose_cause(search: Search, held_out: HeldOut, step: Step, earlier_drops: Mapping[str, float]) -> str | None:
-    """The suspect of a step that fitted windows like best of those that pass for a cause; None if none does."""
-    return next((e for e in step.ordered if is_cause(search, held_out, step, e, earlier_drops)), None)
+    """The suspect of a step that fitted windows like best of those that pass for a cause; None if none does.
+
+    Where errors have the last word it makes way for another that is better on all windows together.
+    """
+    passing = (e for e in step.ordered if is_cause(search, held_out, step, e, earlier_drops))
+    best = next(passing, None)
+    if best is None or not trusts_errors(search):
+        return best
+    for other in passing:
+        against = evidence_against_rival(search, held_out, step.tried[best], step.tried[other])
+        if against + handicap(search, best, other, {best: step.drop(best)}) < 0.0:
+            best = other
+    return best
 
 
 def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier_drops: Mapping[str, float]) -> bool:
@@ -321,6 +430,9 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     Beside a cause that looks like it, it must bring a good part of what that cause brought: no law of friction is
     exact, and what one leaves over another of its kind would mop up. `earlier_drops` are each of the frame in
     which its cause was added, where noise seemed larger than now: a yardstick, from which nothing is subtracted.
+    Where errors have the last word, they outvote gains that contradict, and veto by one standard error, or two where
+    evidence of fitted and held-out windows together is overwhelming; held-out windows need not show by two standard
+    errors what both together show, nor tell from assumed gusts what settles their chi².
     """
     tried, drop, criteria = step.tried[effect], step.drop(effect), search.criteria
     kin = [d for e, d in earlier_drops.items() if e in tried.effects and look_alike(search, effect, e)]
@@ -329,30 +441,68 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     if is_faint(search, tried, effect):
         return False
     gain, error = compare(search, held_out, step.before, tried)
-    strong = drop > criteria.bars_strong * criteria.bar
-    agreed = gain > (-criteria.sigmas_against if strong else criteria.sigmas_held_out) * error
+    favour, together = 0.0, drop
+    if trusts_errors(search):
+        favour = held_out.errors.prefer(step.before.values, tried.values)
+        gain = max(gain, 0.0) if favour > criteria.sigmas_held_out else gain
+        together = drop + float(np.clip(gain, 0.0, drop))
+    strong = together > criteria.bars_strong * criteria.bar
+    shown = ask_of_held_out(together, criteria) if trusts_errors(search) else criteria.sigmas_held_out
+    agreed = gain > (-criteria.sigmas_against if strong else shown) * error
     agreed = agreed and drop + gain > criteria.bars_together * criteria.bar
+    if trusts_errors(search) and gain > -criteria.sigmas_against * error:
+        agreed = agreed or held_out.settles(step.before.values, tried.values)
     undecided = drop > criteria.bars_powerless * criteria.bar and gain > -criteria.sigmas_held_out * error
-    if not agreed and not (undecided and is_powerless(held_out, step.before, tried)):
+    few = trusts_errors(search) and held_out.count < criteria.judges
+    if not agreed and not (undecided and (few or is_powerless(held_out, step.before, tried))):
         return False
-    return not held_out.errors.worsens(step.before.values, tried.values)
+    if held_out.errors.worsens(step.before.values, tried.values):
+        return False
+    even = criteria.sigmas_held_out if strong else criteria.sigmas_against
+    return not agreed or favour > -even
+
+
+def ask_of_held_out(evidence: float, criteria: Criteria) -> float:
+    """Standard errors by which held-out windows must show a cause for which both speak together by `evidence`.
+
+    From two at the bar to one where it is strong: a few windows that scatter never show by two what acts in some only.
+    """
+    span = [times * criteria.bar for times in (criteria.bars_together, criteria.bars_strong)]
+    return float(np.interp(evidence, span, [criteria.sigmas_held_out, criteria.sigmas_against]))
 
 
 def is_faint(search: Search, fit: Fit, effect: str) -> bool:
-    """Whether a fit leaves an effect within its build tolerance."""
+    """Whether a fit leaves an effect within its build tolerance or, where errors have the last word, near nothing."""
     own, criteria = [u for u in search.unknowns if u.effect.id == effect], search.criteria
-    return all(abs(fit.values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own)
+    if all(abs(fit.values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
+        return True
+    if not trusts_errors(search) or own[0].is_limit:
+        return False
+    strengths = [u for u in own if u.parameter in u.effect.strengths]
+    return all(abs(fit.values[u.key] - u.nominal) < criteria.clear_of_off * fit.stated_std(u) for u in strengths)
 
 
 def confirms(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> bool:
-    """Whether held-out windows alone show that a fit is better; they need not, but for an effect in a place.
+    """Whether held-out windows alone show that a fit is better; they need not where errors have no last word.
 
-    A place was looked for, and somewhere chance always is.
+    Unless it has an effect for which a place was looked for: somewhere chance always is.
     """
-    if not {u.effect.id for u in search.unknowns if u.effect.placed} & (after.effects - before.effects):
+    looked_for = {u.effect.id for u in search.unknowns if u.effect.placed} & (after.effects - before.effects)
+    if not trusts_errors(search) and not looked_for:
         return True
     gain, error = compare(search, held_out, before, after)
-    return gain > search.criteria.sigmas_held_out * error
+    if gain <= search.criteria.sigmas_held_out * error:
+        return False
+    few = not trusts_errors(search) or held_out.count < search.criteria.judges
+    return few or held_out.errors.prefer(before.values, after.values) > 0.0
+
+
+def find_near(search: Search, step: Step, effect: str) -> frozenset[str]:
+    """Suspects that brought a good part of what a cause did, where linearisation may promise nothing of them."""
+    if not trusts_errors(search):
+        return frozenset()
+    least = search.criteria.rival_hope * step.drop(effect)
+    return frozenset(other for other in step.tried if other != effect and step.drop(other) > least)
 
 
 def replace_cause(search: Search, fit: Fit, effect: str, near: frozenset[str]) -> Step:

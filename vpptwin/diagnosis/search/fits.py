@@ -128,7 +128,8 @@ class Fitter:
         return bool(self.dry_friction_of(effects))
 
     def fit(
-        self, effects: frozenset[str], values: Mapping[Key, float], known: Linearisation, iterations: int = ITERATIONS
+        self, effects: frozenset[str], values: Mapping[Key, float], known: Linearisation, iterations: int = ITERATIONS,
+        turned: frozenset[str] | None = None,
     ) -> Fit:  # fmt: skip
         """Gauss-Newton on the parameters of `effects`; the others stay linear within their tolerance.
 
@@ -137,9 +138,11 @@ class Fitter:
             values: where to start.
             known: linearisation whose frame and likelihood are kept, and its derivatives by all other effects.
             iterations: at most.
+            turned: effects by which derivatives are taken anew on the way, the others' as in `known`; None for all.
         """
+        turned = effects if turned is None else turned
         point = {key: value for key, value in values.items() if key[0] in effects}
-        about = self._linearise(point, effects, known)
+        about = self._linearise(point, turned, known)
         best, stride = (about, point, self._tolerate(about, effects).cost), 1.0
         for _ in range(iterations if effects else 0):
             about, point, cost = best
@@ -149,7 +152,7 @@ class Fitter:
             cost_there = self._tolerate(there, effects).cost
             if not cost_there <= cost:
                 if about.taken is not None and not np.array_equal(about.at, about.taken):  # a derivative misled it
-                    best = (self._linearise(point, effects, about, 0.0), point, cost)
+                    best = (self._linearise(point, turned, about, 0.0), point, cost)
                     continue
                 stride *= 0.4
                 if stride < 0.1:
@@ -158,7 +161,7 @@ class Fitter:
             best, stride = (there, ahead, cost_there), min(1.0, 2.0 * stride)
             if cost - cost_there < SETTLED:
                 break
-            best = (self._linearise(ahead, effects, there), ahead, cost_there)
+            best = (self._linearise(ahead, turned, there), ahead, cost_there)
         return self._sum_up(effects, *best)
 
     def judge_alone(self, fit: Fit) -> Fit:
@@ -167,15 +170,34 @@ class Fitter:
         A slider that sticks hardly feels its starting velocity or a gust; other effects leave the response to them
         nearly as it is. A real slider may yield where the twin's stands still, so that the likelier of its response
         and the nominal one sets the cost; parameters come from its own unless that is far less likely. The fit is
-        polished; derivatives by effects that are not freed are kept.
+        polished; derivatives by effects that are not freed are kept. A rig that weighs otherwise costs its `doubt` too.
         """
         floor, sticking = fit.frame.floor, self.dry_friction_of(fit.effects)
         loose = self._polish(fit, self.responses.without_dry_friction(floor, fit.values))
+        doubt = self.doubt(loose)
         if not sticking:
-            return loose
+            return replace(loose, cost=loose.cost + doubt)
         tight = self._polish(fit, self.responses.find(sticking, floor, fit.values, fit.likelihood.gust))
         chosen = tight if tight.evidence_against(loose) > -self.criteria.yielding else loose
-        return replace(chosen, cost=find_cheapest([tight, loose]).cost)
+        return replace(chosen, cost=find_cheapest([tight, loose]).cost + doubt)
+
+    def doubt(self, fit: Fit) -> float:
+        """How much more a fit costs if gusts push a rig as heavy as its own, and are believed as with the nominal one.
+
+        Noise in logged inputs and what a controller does against gusts act through the rig as it is: judged by what
+        they do to a nominal twin, a heavier one, which they move less, is the likelier for that alone; judged with all
+        that they do to its own, the smaller volume of what can happen makes it so. A cause must hold either way
+        (Deming, Statistical Adjustment of Data, 1943: errors in both what is regressed and what on). What flies is left
+        out: its inputs are commands, which have no noise, and less thrust is more weight.
+        """
+        floor, likelihood = fit.frame.floor, fit.likelihood
+        if not self.bench.guessed or self.bench.spec.robot.afloat or not self.bench.weights(fit.values):
+            return 0.0
+        nominal = self.responses.find(frozenset(), floor, self.bench.loosen({}))
+        heavy = couple_gusts(self.bench, self.responses.as_heavy(floor, fit.values), likelihood.gust, likelihood.storm)
+        believed = couple_gusts(self.bench, nominal, likelihood.gust, likelihood.storm)
+        about = fit.about.under(replace(heavy, logdet=believed.logdet), fit.frame)
+        return max(self.fit(fit.effects, fit.values, about, POLISH).cost - fit.cost, 0.0)
 
     def reframe(self, fit: Fit) -> Fit:
         """Take a fit as the new state of knowledge: derivatives that belong to it, a frame of its own, and a refit.

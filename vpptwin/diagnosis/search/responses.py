@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench
-from vpptwin.diagnosis.evidence.runs import Key
+from vpptwin.diagnosis.evidence.runs import Key, keep_last
 from vpptwin.diagnosis.search.likelihood import Response, measure_response
 
 KEPT = 12
@@ -59,3 +59,13 @@ class Responses:
     def without_dry_friction(self, floor: np.ndarray, values: Mapping[Key, float]) -> Response:
         """That of a twin like the one with `values`, but without dry friction."""
         return self.find(frozenset(), floor, self._bench.loosen(values))
+
+    def as_heavy(self, floor: np.ndarray, values: Mapping[Key, float]) -> Response:
+        """That of a nominal twin without dry friction, but as heavy as one with `values`, or nearly so."""
+        weights = self._bench.weights(values)
+        effects = frozenset(effect for effect, _ in weights)
+        known = self._own.pop(effects, None)
+        if known is None or not self._bench.is_near(known[0], weights):
+            known = weights, measure_response(self._bench, self._bench.without_dry_friction | weights)
+        _, response = keep_last(self._own, effects, known, KEPT)
+        return replace(response, std=np.hypot(response.std, floor))
