@@ -1,8 +1,7 @@
-"""Logs in memory and as files: MCAP with ROS 2 messages, and tables as CSV. Nothing of vpptwin is imported."""
+"""Logs in memory and as files: MCAP with ROS 2 messages. Nothing of vpptwin is imported."""
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ from proving.messages import DEFINITIONS, encode, encode_joints
 START_NS = 1_700_000_000 * 10**9
 """Stamp of time zero [ns since 1970]."""
 PARTS = {"position": ("x", "y", "z"), "attitude": ("qw", "qx", "qy", "qz"), "rate": ("wx", "wy", "wz")}
-"""Vectors of a log → the columns that they are in messages and tables."""
+"""Vectors of a log → the columns that they are in messages."""
 
 
 @dataclass(frozen=True)
@@ -74,18 +73,6 @@ class Log:
         if missing := set(topics) - {*self.joints}:
             raise KeyError(f"{self.path} has no {', '.join(sorted(missing))}, only {', '.join(self.joints)}")
 
-    def list_tables(self) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray]]]:
-        """Topic without its slash → times (n,) and columns such as `elbow.position` or `qw`, (n,) each."""
-        tables = {}
-        for topic, names in self.joints.items():
-            first = next(iter(names.values()))
-            columns = {f"{name}.{c}": values for name, stream in names.items() for c, values in stream.values.items()}
-            tables[topic.strip("/")] = first.time, columns
-        for topic, stream in self.spatial.items():
-            columns = {part: v[:, i] for c, v in stream.values.items() for i, part in enumerate(PARTS[c])}
-            tables[topic.strip("/")] = stream.time, columns
-        return tables
-
 
 @dataclass(frozen=True)
 class Channel:
@@ -131,18 +118,8 @@ def write_log(log: Log, path: Path) -> Path:
         encoded = encode_joints(stamps, {name: stream.values for name, stream in names.items()})
         channels.append(Channel(topic, "sensor_msgs/msg/JointState", stamps, stamps, encoded))
     for topic, stream in log.spatial.items():
-        kind = f"{'sensor_msgs/msg/Imu' if 'rate' in stream.values else 'geometry_msgs/msg/PoseStamped'}"
+        kind = "sensor_msgs/msg/Imu" if "rate" in stream.values else "geometry_msgs/msg/PoseStamped"
         stamps = START_NS + np.rint(stream.time * 1e9).astype(np.int64)
-        columns = log.list_tables()[topic.strip("/")][1]
+        columns = {part: v[:, i] for c, v in stream.values.items() for i, part in enumerate(PARTS[c])}
         channels.append(Channel(topic, kind, stamps, stamps, encode(kind, "world", stamps, columns)))
     return write_channels(path, channels)
-
-
-def write_table(path: Path, time: np.ndarray, columns: Mapping[str, np.ndarray]) -> Path:
-    """Write a table as CSV: time [s], then the columns, nine digits."""
-    rows = np.column_stack([time, *columns.values()])
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["time", *columns])
-        writer.writerows([[f"{value:.9g}" for value in row] for row in rows])
-    return path

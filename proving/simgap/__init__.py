@@ -1,1 +1,1 @@
-"""SimGap: proper scores for tools that name what a simulation gets wrong (issue 60, begun)."""
+"""SimGap: proper scores for tools that name what a simulation gets wrong."""

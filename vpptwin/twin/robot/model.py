@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
 
@@ -52,7 +53,7 @@ def compile_model(
     try_model(path, elements, MAX_BYTES, urdf)
     try:
         with bound_memory(), left_alone():  # a callback in Python would fail there
-            model = specify_model(path, adapt).compile()
+            model = specify_model(path, urdf, adapt).compile()
     except InputError:
         raise
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
@@ -73,14 +74,18 @@ def compile_model(
     return model
 
 
-def specify_model(path: Path, adapt: Adapt) -> mujoco.MjSpec:
+def specify_model(path: Path, urdf: ET.Element | None, adapt: Adapt) -> mujoco.MjSpec:
     """Read a model, with a rig's own numbers, and with room for our marks.
+
+    Args:
+        path: of the file.
+        urdf: what `read_urdf` made of it.
+        adapt: sets those numbers.
 
     Raises:
         InputError: if it lacks what those numbers are for.
         ValueError: if MuJoCo refuses the file.
     """
-    urdf = read_urdf(path)
     spec = mujoco.MjSpec.from_file(str(path)) if urdf is None else specify_urdf(urdf)
     adapt(spec, path)
     simplify_actuators(spec)

@@ -13,6 +13,7 @@ import numpy as np
 
 from vpptwin.engine.callback import installed
 from vpptwin.twin.robot.model import Adapt, specify_model
+from vpptwin.twin.robot.urdf import read_urdf
 
 LOOKS = ("geom_", "cam_", "light_", "bvh_", "name")
 """Fields of geoms, which are compared row by row, and of what no step goes by."""
@@ -36,7 +37,7 @@ def strip_model(model: mujoco.MjModel, path: Path, adapt: Adapt) -> mujoco.MjMod
     if touching.all() or model.geom_fluid[~touching].any():
         return model
     try:
-        spec = specify_model(path, adapt)
+        spec = specify_model(path, read_urdf(path), adapt)
         for geom in list(spec.geoms):
             if not geom.contype and not geom.conaffinity:
                 spec.delete(geom)

@@ -14,6 +14,7 @@ import numpy as np
 from vpptwin.system.errors import InputError
 from vpptwin.system.signals import until_interrupted
 from vpptwin.twin.robot.model import specify_model
+from vpptwin.twin.robot.urdf import read_urdf
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.viz.pages.browse import has_screen
 from vpptwin.viz.pages.serve import keep_going
@@ -119,7 +120,7 @@ def open_viewer(model: mujoco.MjModel, data: mujoco.MjData, clock: PlaybackClock
 
 def add_sky(spec: TwinSpec) -> TwinSpec:
     """The same twin before a pale sky, if its MJCF has none: a dark craft is not seen before MuJoCo's black."""
-    scene = specify_model(spec.model_file, spec.robot.adapt)
+    scene = specify_model(spec.model_file, read_urdf(spec.model_file), spec.robot.adapt)
     if any(texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX for texture in scene.textures):
         return spec
     scene.add_texture(
