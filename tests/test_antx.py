@@ -41,6 +41,7 @@ def rig(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Rig:
     return Rig(logs, json.loads((out / "verdict.json").read_text()), out / "twin.yaml")
 
 
+@pytest.mark.slow
 def test_friction_of_a_small_cart_is_suggested(rig: Rig) -> None:
     """What brakes the cart is named, far from zero; the lab's model has none. A quarter of its drive stays random.
 
@@ -81,6 +82,7 @@ def test_pages_say_what_is_found(rig: Rig, pivot: dict) -> None:
     assert f"held-out chi² {pivot['after']['chi2']:.3g}," in told, "python -m tests.viz.pictures"
 
 
+@pytest.mark.slow
 def test_another_flight_is_predicted_better(rig: Rig, tmp_path: Path) -> None:
     """On rail_velocity_doublets_2 the error of velocity falls: by well over half at 1 s, clearly at 0.5 s."""
     errors = []
@@ -93,6 +95,7 @@ def test_another_flight_is_predicted_better(rig: Rig, tmp_path: Path) -> None:
     assert extended[HALF_SECOND] < 0.75 * nominal[HALF_SECOND]
 
 
+@pytest.mark.slow
 def test_the_extended_twin_says_where_it_comes_from(rig: Rig) -> None:
     """The model and signals are the example's, the interval holds the value, and the log is named with a checksum."""
     content = yaml.safe_load(rig.extended.read_text())

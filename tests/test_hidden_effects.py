@@ -34,6 +34,7 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Sessions:
     return Sessions(draws, tmp_path_factory.mktemp("sessions"), "tests/test_hidden_effects.py")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", mark_undrawn(ACTUATION))
 def test_a_single_hidden_effect_is_named(sessions: Sessions, family: str) -> None:
     """One effect of a family, of any sign: named first or in the first cause's group, with its size, and it helps."""

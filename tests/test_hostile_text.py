@@ -62,7 +62,8 @@ def write_hostile(folder: Path, joint: str) -> tuple[Path, Path]:
             time, noise = 0.002 * k, 1e-5 * rng.standard_normal()
             moving = {"position": 0.1 * np.sin(3.0 * time) + noise, "velocity": 0.3 * np.cos(3.0 * time)}
             writer.write_joints("/joint_states", time, {joint: moving, "lift": {"position": 0.0, "velocity": 0.0}})
-            writer.write_joints("/c", time, {f"{joint}.motor": {"effort": float(np.sin(3.0 * time))}})
+            force = -2.7 * np.sin(3.0 * time) + 0.15 * np.cos(3.0 * time)  # moves 3 kg against 0.5 N s/m
+            writer.write_joints("/c", time, {f"{joint}.motor": {"effort": float(force)}})
     return folder / "rig.yaml", log
 
 

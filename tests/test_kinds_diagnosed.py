@@ -67,6 +67,7 @@ def run_case(script: str, model: str, log: str, folder: Path) -> dict[str, float
     return truth
 
 
+@pytest.mark.slow
 def test_one_step_tells_the_damping(tmp_path: Path) -> None:
     """Viscous friction first, the error half a second ahead smaller by far, and said to be of this log alone."""
     run_case("short_step.py", "cart.xml", "step.csv", tmp_path)

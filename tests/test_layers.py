@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Collection, Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 from pkgutil import resolve_name
@@ -27,6 +28,18 @@ ROOMS = ("evidence", "search", "judgement")
 """The rooms of diagnosis: likewise."""
 MOST_FILES = 15
 """More than that in one folder, and nobody finds anything."""
+
+
+@cache
+def parse(file: Path) -> ast.Module:
+    """A file's code."""
+    return ast.parse(file.read_text())
+
+
+@cache
+def list_imports(file: Path) -> frozenset[str]:
+    """What `find_imports` finds in a file."""
+    return frozenset(find_imports(parse(file)))
 
 
 def find_imports(tree: ast.AST) -> Iterator[str]:
@@ -69,14 +82,13 @@ def test_rooms_of_diagnosis_run_one_way() -> None:
     for i, room in enumerate(ROOMS):
         later = tuple(f"vpptwin.diagnosis.{name}" for name in ROOMS[i + 1 :])
         for file in (PACKAGE / "diagnosis" / room).rglob("*.py"):
-            wrong += [f"{file.name}: {m}" for m in find_imports(ast.parse(file.read_text())) if m.startswith(later)]
+            wrong += [f"{file.name}: {m}" for m in list_imports(file) if m.startswith(later)]
     assert not wrong
 
 
 def test_criteria_lie_below_the_rooms() -> None:
     """All rooms read them, so that they import nothing of ours."""
-    tree = ast.parse((PACKAGE / "diagnosis/criteria.py").read_text())
-    assert not [module for module in find_imports(tree) if module.startswith("vpptwin")]
+    assert not [module for module in list_imports(PACKAGE / "diagnosis/criteria.py") if module.startswith("vpptwin")]
 
 
 def test_no_files_import_each_other() -> None:
@@ -88,7 +100,7 @@ def test_no_files_import_each_other() -> None:
 
 def imported_files(file: Path, files: Collection[str]) -> set[str]:
     """Dotted names of the files that one imports; a package only for what is in it itself."""
-    found = {name for name in find_imports(ast.parse(file.read_text())) if name in files}
+    found = {name for name in list_imports(file) if name in files}
     return {name for name in found if not any(other.startswith(f"{name}.") for other in found)}
 
 
@@ -112,7 +124,7 @@ def test_imports_run_one_way(room: str) -> None:
 def test_what_is_imported_is_there() -> None:
     """No module that has moved: a type checker that lets others' be missing lets ours be too."""
     files = [file for folder in ("vpptwin", "proving", "tests") for file in (ROOT / folder).rglob("*.py")]
-    nodes = [node for file in files for node in ast.walk(ast.parse(file.read_text()))]
+    nodes = [node for file in files for node in ast.walk(parse(file))]
     wanted = {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module}
     ours = {module for module in wanted if module.startswith(("vpptwin.", "proving.", "tests."))}
     assert ours - {name_module(file) for file in files} == set()

@@ -71,6 +71,7 @@ def test_two_laws_of_dry_friction_are_named(tmp_path: Path, seed: int) -> None:
     assert found["slide.stiction"] == pytest.approx(1.0, rel=0.4)
 
 
+@pytest.mark.slow
 def test_dry_friction_of_a_free_decay_is_named(tmp_path: Path) -> None:
     """A pivot that rubs, a log without commands, an MJCF without an actuator."""
     verdict = look_into(let_go(0.01), tmp_path).verdict

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.diagnosis.made_up import FLIP, make_up
 from vpptwin.cli.main import main
+from vpptwin.robots.planar_drone.pilot import flight
+from vpptwin.robots.planar_drone.pilot.flight import Pilot, SimulatedFlights
+from vpptwin.twin import Twin
 
 FLY = ["fly", "--manoeuvre", "x_steps", "--duration", "6", "--out", "flight.mcap"]
 WRITERS = {
@@ -33,11 +37,22 @@ WRITERS = {
 """A file, and the command that writes it."""
 
 
+FLOWN: list[SimulatedFlights] = []
+
+
+def fly_once(twin: Twin, pilot: Pilot, *others: Any) -> SimulatedFlights:  # noqa: ANN401
+    """The flight of `FLY`, which all tests share."""
+    if not FLOWN:
+        FLOWN.append(flight.fly(twin, pilot, *others))
+    return FLOWN[0]
+
+
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An empty folder; diagnoses are made up."""
+    """An empty folder; diagnoses are made up, and what flies flies once."""
     monkeypatch.chdir(tmp_path)
     make_up(monkeypatch)
+    monkeypatch.setattr("vpptwin.robots.planar_drone.pilot.command.fly", fly_once)
 
 
 @pytest.mark.parametrize(("name", "command"), WRITERS.items(), ids=WRITERS)

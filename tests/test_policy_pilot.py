@@ -182,7 +182,7 @@ def test_both_firmwares_allocate_alike() -> None:
     """Rate loop and allocation, written twice: blade pitches of both agree to a bit of the servo command."""
     rng, count = np.random.default_rng(0), 5
     theirs, ours = Firmware(load_nominal(), count), VpptwinFirmware(count, adaptive=False)
-    for _ in range(50):
+    for _ in range(20):
         thrust, rate = rng.uniform(-9.0, 9.0, count), rng.uniform(-12.0, 12.0, count)
         for _ in range(10):
             sensed = rng.normal(0.0, 3.0, count), rng.normal(471.0, 3.0, (2, count)), rng.uniform(1.0, 5.0, (2, count))

@@ -77,7 +77,8 @@ def start_flight(folder: Path, force: float) -> subprocess.Popen[str]:
     ("where", "how"),
     [
         ("import", signal.SIGINT), ("finalizer", signal.SIGINT), ("swallowed", signal.SIGINT),
-        ("import", signal.SIGTERM), ("import", signal.SIGHUP),
+        pytest.param("import", signal.SIGTERM, marks=pytest.mark.slow),
+        pytest.param("import", signal.SIGHUP, marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_a_signal_is_one_line_wherever_it_comes(tmp_path: Path, how: signal.Signals, where: str) -> None:

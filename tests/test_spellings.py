@@ -110,7 +110,13 @@ def find_hash(spelled: str) -> str:
     return hash_files("runs/b.mcap" if "b.mcap" in spelled else "runs/a.mcap")
 
 
-@pytest.mark.parametrize("spelled", [*ALONE, *SEVERAL])
+OFTEN = ("first.mcap+second.mcap@1-7", "bag/@-6", "set/#0@1-7", "runs@1-7")
+"""Each kind of place, with a stretch; the others are `slow`."""
+
+
+@pytest.mark.parametrize(
+    "spelled", [each if each in OFTEN else pytest.param(each, marks=pytest.mark.slow) for each in (*ALONE, *SEVERAL)]
+)
 def test_every_command_takes_it(quick: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], spelled: str) -> None:
     """From its start to what it writes at its end: provenance, hashes, predictions named after the log."""
     twin, flights = ["--twin", find_twin(spelled)], [str(flight) for flight in list_flights(spelled)]

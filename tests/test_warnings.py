@@ -63,25 +63,28 @@ def break_log(path: Path, *faults: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    "faults",
     [
-        ("one message throughout", "/imu/data: the rate is .* throughout while the craft turns, the IMU is left out"),
-        ("zero gyro", "/imu/data: the rate is 0 throughout while the craft turns, the IMU is left out"),
-        ("zero accelerometer", "no accelerometer on /imu/data: forces come from /mocap/pose alone"),
-        ("stuck for most of it", r"/imu/data: \d+ of \d+ samples repeat a value to the last digit, left out"),
-        ("dead command", "/rotor/command: blade pitch never changes, left out"),
-        ("dead rotor state", "/rotor/state: a rotor speed never changes, left out"),
-        ("rotor state stuck for half of it", r"/rotor/state: \d+ of \d+ samples repeat a value to the last digit"),
-        ("doubled", r"\d+ of \d+ messages on /mocap/pose repeat a stamp, dropped"),
+        {"one message throughout": "/imu/data: the rate is .* throughout while the craft turns, the IMU is left out",
+         "rotor state stuck for half of it": r"/rotor/state: \d+ of \d+ samples repeat a value to the last digit"},
+        {"zero gyro": "/imu/data: the rate is 0 throughout while the craft turns, the IMU is left out",
+         "dead rotor state": "/rotor/state: a rotor speed never changes, left out"},
+        {"zero accelerometer": "no accelerometer on /imu/data: forces come from /mocap/pose alone",
+         "dead command": "/rotor/command: blade pitch never changes, left out"},
+        {"stuck for most of it": r"/imu/data: \d+ of \d+ samples repeat a value to the last digit, left out",
+         "doubled": r"\d+ of \d+ messages on /mocap/pose repeat a stamp, dropped"},
     ],
+    ids=", ".join,
 )  # fmt: skip
 def test_a_log_that_is_plotted_is_looked_over(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str, told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], faults: dict[str, str]
 ) -> None:
-    """Also where no twin is asked for."""
-    log = break_log(tmp_path / "log.mcap", fault)
+    """Also where no twin is asked for; each fault is told once."""
+    log = break_log(tmp_path / "log.mcap", *faults)
     assert main(["plot", str(log), "--out", str(tmp_path / "log.svg")]) == 0
-    assert len(re.findall(f"^warning: log.mcap: {told}", capsys.readouterr().err, re.MULTILINE)) == 1
+    said = capsys.readouterr().err
+    for told in faults.values():
+        assert len(re.findall(f"^warning: log.mcap: {told}", said, re.MULTILINE)) == 1
 
 
 def test_a_sound_log_is_plotted_without_a_word(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

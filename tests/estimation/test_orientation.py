@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from _pytest.mark import ParameterSet
 from scipy.signal import savgol_filter
 
-from proving.quadrotor import fly, write_twin
+from proving import quadrotor
+from proving.quadrotor import write_twin
 from vpptwin.estimation.checks.orientation import ANGLES, QUATERNIONS, Convention, find_convention
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.estimation.series import interpolate
@@ -36,9 +39,15 @@ def spec(tmp_path_factory: pytest.TempPathFactory) -> TwinSpec:
     return load_twin(write_twin(tmp_path_factory.mktemp("quadrotor")))
 
 
+@cache
+def fly(seed: int) -> Flight:
+    """Ten seconds, flown once."""
+    return quadrotor.fly({}, 10.0, seed)
+
+
 def log(columns: Mapping[str, np.ndarray], seed: int = 3, rates: bool = True) -> Flight:
     """A flight with other attitudes or rates; without its IMU if need be."""
-    flown = fly({}, 10.0, seed)
+    flown = fly(seed)
     pose, imu = flown.spatial["/pose"], flown.spatial["/imu"]
     pose = Stream(pose.time, pose.values | {k: v for k, v in columns.items() if k == "attitude"})
     imu = Stream(imu.time, imu.values | {k: v for k, v in columns.items() if k == "rate"})
@@ -88,7 +97,12 @@ def check_mended(folder: Path, flown: Flight, entries: Mapping[str, object] = {}
         assert np.sqrt(np.mean((read.velocities[dof].value - rate) ** 2)) < 0.08  # of 1.5 rad/s, logged at 100 Hz
 
 
-@pytest.mark.parametrize("reading", QUATERNIONS, ids=name)
+def some(readings: Sequence[Convention], often: int) -> list[ParameterSet]:
+    """Parameters of a test: some in every run, all others `slow`."""
+    return [pytest.param(r, id=name(r), marks=[pytest.mark.slow] * (i >= often)) for i, r in enumerate(readings)]
+
+
+@pytest.mark.parametrize("reading", some(QUATERNIONS, 3))
 def test_quaternions_in_another_order_or_sense_are_refused(tmp_path: Path, reading: Convention) -> None:
     """Whichever cyclic order and sense, by the gyro or the motors' push; the line in the message mends it."""
     flown = log({})
@@ -97,7 +111,7 @@ def test_quaternions_in_another_order_or_sense_are_refused(tmp_path: Path, readi
     check_mended(tmp_path, log({"attitude": misorder(flipped, reading)}))
 
 
-@pytest.mark.parametrize("reading", QUATERNIONS, ids=name)
+@pytest.mark.parametrize("reading", some(QUATERNIONS, 3))
 def test_without_a_gyro_what_pushes_tells_the_order(spec: TwinSpec, reading: Convention) -> None:
     """A craft goes where its motors push it."""
     bare = spec.with_robot(signals=spec.robot.signals.model_copy(update={"sites": {}}))
@@ -148,7 +162,7 @@ def test_a_brick_that_tumbles_about_an_axis_has_its_rates_in_the_world() -> None
     assert find_convention((time, seen), (time, turn_to_world(turned, body)), "world") is None
 
 
-@pytest.mark.parametrize("reading", [each for each in ANGLES if np.prod(each.signs) < 0.0], ids=name)
+@pytest.mark.parametrize("reading", some([each for each in ANGLES if np.prod(each.signs) < 0.0], 2))
 def test_angles_of_the_other_sign_are_refused(tmp_path: Path, reading: Convention) -> None:
     """Pitch of a Crazyflie has it: roll, pitch, yaw as logged turn otherwise than the gyro."""
     angles = reading.read(read_angles(log({}).spatial["/pose"]["attitude"]))

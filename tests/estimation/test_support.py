@@ -137,7 +137,10 @@ def phone() -> Flight:
     return make_log(time, 200.0 * np.column_stack([np.sin(0.05 * time), np.cos(0.05 * time), 0.0 * time]), noise=0.5)
 
 
-@pytest.mark.parametrize("log", [drive(), drive(0.3), carry(), phone()], ids=["floor", "hills", "hand", "phone"])
+@pytest.mark.parametrize(
+    "log", [drive(), pytest.param(drive(0.3), marks=pytest.mark.slow), pytest.param(carry(), marks=pytest.mark.slow),
+            phone()], ids=["floor", "hills", "hand", "phone"],
+)  # fmt: skip
 def test_what_holds_a_body_is_not_found_as_a_force(tmp_path: Path, log: Flight) -> None:
     """Diagnose and compare say in a line that nothing holds it, and that commands lack; the log itself can be seen."""
     spec = make_spec(tmp_path)

@@ -81,9 +81,7 @@ def test_what_has_no_time_is_refused(tmp_path: Path, content: dict, found: str) 
 
 
 @pytest.mark.parametrize("name", ["log.mat", "log.npz"])
-@pytest.mark.parametrize(
-    "share", [pytest.param(0.0, marks=pytest.mark.slow), 0.1, pytest.param(0.5, marks=pytest.mark.slow), 0.9]
-)
+@pytest.mark.parametrize("share", [*(pytest.param(share, marks=pytest.mark.slow) for share in (0.0, 0.1, 0.5)), 0.9])
 def test_a_damaged_file_is_refused(tmp_path: Path, name: str, share: float) -> None:
     """Cut off, and with bytes that make no sense: one line, whatever the library raised."""
     content = save(tmp_path / name, TABLE).read_bytes()

@@ -118,7 +118,7 @@ def test_blade_pitch_and_throttle_are_what_acted(nominal: SimulatedFlights) -> N
     [
         ("mocap.delay", {"delay": 0.03}, 0.03),
         ("clock.drift", {"drift": 0.005}, 0.0),
-        ("clock.drift", {"drift": -0.005}, 0.0),
+        pytest.param("clock.drift", {"drift": -0.005}, 0.0, marks=pytest.mark.slow),
     ],
 )
 def test_poses_come_as_late_as_the_twin_says(effect: str, values: dict[str, float], late: float) -> None:

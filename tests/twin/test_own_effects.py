@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from tests.twin.own_effect_files import HEAD, WARM, WAVE, write_effects, write_rig
+from vpptwin.effects import find_effect
 from vpptwin.twin import Twin, load_twin
+from vpptwin.twin.stepping.pipeline import fingerprint
 
 STEPS, DT, MASS, START = 100, 0.002, 3.0, 0.1  # -, s, kg, m
 STRONG = WAVE.replace("-force * np", "-2.0 * force * np")
@@ -99,6 +101,16 @@ def test_the_example_of_the_docs(folder: Path) -> None:
     np.testing.assert_allclose(after.effects[0, -2:], [0.0, expected], rtol=1e-3, atol=1e-12)
 
 
+def test_an_edited_file_is_another_step(folder: Path) -> None:
+    """In the same place, under the same id; with its old text it is the old one."""
+    twin, keys = write_rig(folder), []
+    for text in (WAVE, STRONG, WAVE):
+        spec = load_twin(twin, [write_effects(folder, text)])
+        keys.append(fingerprint("step", functions=[find_effect(spec.catalogue, "slide.wave").apply]))
+    assert keys[0] == keys[2] != keys[1]
+
+
+@pytest.mark.slow
 def test_an_edited_file_is_compiled_anew(folder: Path) -> None:
     """A stronger wave in the same file, under the same id, pulls the cart farther; the old text its old way again."""
     twin = write_rig(folder)

@@ -42,11 +42,13 @@ class Browser:
         size: window width and height [px].
         dark: whether the page is told that the reader prefers dark.
         offline: whether the network is cut.
+        scale: pixels of a picture for each of the page's, in either direction: with 0.5 a quarter of them is drawn.
     """
 
     def __init__(
-        self, profile: Path, size: tuple[int, int] = (1280, 720), dark: bool = False, offline: bool = True
-    ) -> None:
+        self, profile: Path, size: tuple[int, int] = (1280, 720), dark: bool = False, offline: bool = True,
+        scale: float = 1.0,
+    ) -> None:  # fmt: skip
         self.requests: list[str] = []
         self.complaints: list[str] = []
         self._loaded = False
@@ -76,7 +78,7 @@ class Browser:
             "Network.emulateNetworkConditions", offline=offline, latency=0, downloadThroughput=-1, uploadThroughput=-1
         )
         self.call(
-            "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=False
+            "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=scale, mobile=False
         )
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])

@@ -18,7 +18,8 @@ from vpptwin.viz.pages.playback import play_page
 
 pytestmark = pytest.mark.browser
 CRAFT = 'viewer.scene_tree.find(["rig", "log", "craft"]).object'
-CANVAS = (slice(40, 640), slice(350, 1020))  # rows and columns of the window that show only the scene
+SCALE = 0.5  # pixels of a picture for each of the window's, in either direction
+CANVAS = (slice(20, 320), slice(175, 510))  # rows and columns of a picture that show only the scene
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     page = play_page(flight, make_prediction(flight), folder / "flight.html")
     profile = folder / "profile"
     profile.mkdir()
-    with Browser(profile) as browser:
+    with Browser(profile, scale=SCALE) as browser:
         browser.open(page)
         browser.draw_frames()
         yield browser
@@ -52,9 +53,9 @@ def test_canvas_is_not_blank(browser: Browser) -> None:
     """The scene shows the dark craft, a green arrow and the pale backdrop."""
     scene = scrub(browser, 1.0)[CANVAS].reshape(-1, 3)
     red, green, blue = scene.T
-    assert np.count_nonzero(scene.max(axis=1) < 70) > 300  # craft
-    assert np.count_nonzero((green > red + 60) & (green > blue + 20)) > 100  # thrust
-    assert np.count_nonzero(scene.min(axis=1) > 190) > 50_000  # backdrop
+    assert np.count_nonzero(scene.max(axis=1) < 70) > 75  # craft
+    assert np.count_nonzero((green > red + 60) & (green > blue + 20)) > 25  # thrust
+    assert np.count_nonzero(scene.min(axis=1) > 190) > 12_500  # backdrop
 
 
 def test_negative_thrust_has_its_own_colour(browser: Browser) -> None:
@@ -62,7 +63,7 @@ def test_negative_thrust_has_its_own_colour(browser: Browser) -> None:
     scene = scrub(browser, 3.5)[CANVAS].reshape(-1, 3)
     red, green, blue = scene.T
     assert np.count_nonzero((green > red + 60) & (green > blue + 20)) == 0
-    assert np.count_nonzero((red > green + 70) & (red > blue + 100)) > 100
+    assert np.count_nonzero((red > green + 70) & (red > blue + 100)) > 25
 
 
 def test_scrubbing_moves_the_craft(browser: Browser) -> None:
@@ -73,7 +74,7 @@ def test_scrubbing_moves_the_craft(browser: Browser) -> None:
     assert browser.evaluate(f"{CRAFT}.position.x") == pytest.approx(0.8, abs=1e-4)
     assert abs(browser.evaluate(f"{CRAFT}.quaternion.y")) == pytest.approx(1.0, abs=1e-6)
     columns = [np.nonzero(picture[CANVAS].max(axis=2) < 70)[1].mean() for picture in (early, late)]
-    assert columns[1] > columns[0] + 30
+    assert columns[1] > columns[0] + 15
     assert browser.evaluate("clock.textContent") == "4.00 / 4.00 s"
 
 

@@ -134,10 +134,10 @@ def test_a_button_flips_the_craft_in_the_browser(tmp_path: Path) -> None:
     """The printed page shows the scene; a key asks for a flip, and thrust turns negative. Ctrl-C ends it."""
     with (
         serve("-m", "vpptwin", "play", "--live", "flip", said="shows the flight") as address,
-        Browser(tmp_path, offline=False) as browser,
+        Browser(tmp_path, offline=False, scale=0.5) as browser,
     ):
         browser.open(address)
-        wait_until(lambda: sum(count_arrows(browser)) > 200)
+        wait_until(lambda: sum(count_arrows(browser)) > 50)
         green, orange = count_arrows(browser)
         browser.evaluate("dispatchEvent(new KeyboardEvent('keydown', {key: 'f'})); 0")
         wait_until(lambda: np.argmax(count_arrows(browser)) != np.argmax([green, orange]))

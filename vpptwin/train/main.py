@@ -7,6 +7,7 @@ import inspect
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from textwrap import wrap
 
@@ -65,13 +66,7 @@ def compose_config(overrides: Sequence[str]) -> TrainConfig:
         key, value = override.key_or_group, override.value()
         alone = key in ("randomize", "effects", "loggers") and isinstance(value, str)
         given.append(f"{key}=[{value}]" if alone else str(override.input_line))
-    store = ConfigStore.instance()
-    store.store(name="schema", node=TrainConfig)
-    store.store(name="train", node={"defaults": ["schema", {"task": HOVER.name}, {"preset": "fast"}, "_self_"]})
-    for name, changes in PRESETS.items():
-        store.store(group="preset", name=name, package="_global_", node=changes | {"preset": name})
-    for task in TASKS.values():
-        store.store(group="task", name=task.name, node=task)
+    store_options()
     try:
         with initialize(version_base="1.3", config_path=None):
             composed = OmegaConf.to_container(compose(config_name="train", overrides=given), resolve=True)
@@ -82,6 +77,18 @@ def compose_config(overrides: Sequence[str]) -> TrainConfig:
     except (HydraException, OmegaConfBaseException) as error:
         reason = str(error.__cause__ or error).strip().splitlines()[0]
         raise InputError(f"{' '.join(overrides)}: {reason}", "values of an option's type", HELP) from error
+
+
+@cache
+def store_options() -> None:
+    """Tell Hydra the options, once per process."""
+    store = ConfigStore.instance()
+    store.store(name="schema", node=TrainConfig)
+    store.store(name="train", node={"defaults": ["schema", {"task": HOVER.name}, {"preset": "fast"}, "_self_"]})
+    for name, changes in PRESETS.items():
+        store.store(group="preset", name=name, package="_global_", node=changes | {"preset": name})
+    for task in TASKS.values():
+        store.store(group="task", name=task.name, node=task)
 
 
 def parse_overrides(overrides: Sequence[str]) -> dict[str, Override]:

@@ -115,8 +115,17 @@ PIECES = {
 """What fails → the files that are not there for it."""
 
 
-@FAULTS
-@pytest.mark.parametrize("step", PIECES)
+@pytest.mark.parametrize(
+    ("step", "fault"),
+    [
+        pytest.param(step, fault, id=f"{step}-{name}", marks=[] if step in often else [pytest.mark.slow])
+        for name, fault, often in (
+            ("ctrl-c", KeyboardInterrupt(), ("write_prediction", "render_report")),
+            ("full disk", FULL, ("write_prediction",)), ("bug", ValueError("a bug"), PIECES),
+        )
+        for step in PIECES
+    ],
+)  # fmt: skip
 def test_what_fails_beside_the_verdict_costs_only_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], step: str, fault: Fault
 ) -> None:
