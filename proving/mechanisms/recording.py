@@ -152,6 +152,21 @@ def is_ordinary(track: Track, rig: Rig, scale: Scale) -> bool:
 def record(session: Session, folder: Path) -> Recorded:
     """Record a session; see `Session.record`."""
     folder.mkdir(parents=True, exist_ok=True)
+    logs, truth, _ = simulate(session)
+    (folder / "rig.xml").write_text(session.told.write_mjcf())
+    (folder / "rig.yaml").write_text(session.told.write_twin("rig.xml"))
+    names = [f"{i}_{motion.kind}.mcap" for i, motion in enumerate(session.motions)]
+    return Recorded([write_log(log, folder / name) for log, name in zip(logs, names)], folder / "rig.yaml", truth)
+
+
+def simulate(session: Session, held_out: int = 0) -> tuple[list[Log], Truth, Scale]:
+    """The logs of a session, what is true of them, and what is usual there.
+
+    How visible effects are is worked out from all logs but the last `held_out`.
+
+    Raises:
+        RuntimeError: where the rig does not move as it should, however it is tried.
+    """
     scale = find_scale(session)
     real = session.rig.jitter(np.random.default_rng([session.seed, 5, session.number]))
     hidden = session.hidden
@@ -170,7 +185,7 @@ def record(session: Session, folder: Path) -> Recorded:
     faults = find_faults(session, found)
     evidence = [Evidence(track, measure_inputs(track.given, faults)) for track, _ in logs]
     visible, unasked = measure_visibility(
-        session.told, scale, evidence, found, session.sensors, session.disturbance, real, small
+        session.told, scale, evidence[: len(logs) - held_out], found, session.sensors, session.disturbance, real, small
     )
     truth = Truth(
         {h.effect: v for h, v in found},
@@ -181,18 +196,15 @@ def record(session: Session, folder: Path) -> Recorded:
         {h.effect: v for (h, _), v in zip(found, visible)},
         unasked,
     )
-    (folder / "rig.xml").write_text(session.told.write_mjcf())
-    (folder / "rig.yaml").write_text(session.told.write_twin("rig.xml"))
-    paths, zero = [], np.zeros(len(session.rig.links))
-    for hidden, values in found:
-        if hidden.kind == "offset":
-            zero[hidden.joint] += values["angle"]
+    measured, zero = [], np.zeros(len(session.rig.links))
+    for hidden_one, values in found:
+        if hidden_one.kind == "offset":
+            zero[hidden_one.joint] += values["angle"]
     for i, ((track, noise), seen) in enumerate(zip(logs, evidence)):
         rng = np.random.default_rng([session.seed, 6, session.number, i])
-        path = folder / f"{i}_{session.motions[i].kind}.mcap"
-        log = measure_log(session, path, scale, track, noise + zero, seen, rng, found)
-        paths.append(write_log(log, path))
-    return Recorded(paths, folder / "rig.yaml", truth)
+        path = Path(f"{i}_{session.motions[i].kind}.mcap")
+        measured.append(measure_log(session, path, scale, track, noise + zero, seen, rng, found))
+    return measured, truth, scale
 
 
 def size(session: Session, hidden: Hidden, scale: Scale) -> Values:

@@ -1,11 +1,13 @@
-"""Proper scores of what an entrant says of a session: which cause, what size, what comes next. Less is better."""
+"""Proper scores of what an entrant says of a session: which cause, what size, what comes next. Less is better.
+
+scoringrules is imported where it is used: it compiles for seconds, and entrants need none of it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scoringrules import crps_ensemble, es_ensemble
 
 NOTHING, UNKNOWN = "nothing", "unknown"
 """Answers beside the causes of a session: the model is right; something that is not listed is wrong with it."""
@@ -64,6 +66,8 @@ def score_sizes(
         off: cause → size without it.
         scales: cause → typical difference from that.
     """
+    from scoringrules import crps_ensemble
+
     total = 0.0
     for cause, none in off.items():
         given = np.asarray(samples.get(cause, [none]), float)
@@ -81,6 +85,8 @@ def score_prediction(measured: np.ndarray, samples: np.ndarray, scale: np.ndarra
         samples: trajectories, equally likely, (K, S, T, n).
         scale: of each column, (n,).
     """
+    from scoringrules import es_ensemble
+
     windows, many = len(measured), samples.shape[1]
     truth, told = (measured / scale).reshape(windows, -1), (samples / scale).reshape(windows, many, -1)
     return float(np.mean(es_ensemble(truth, told, backend="numpy")) / np.sqrt(truth.shape[1]))

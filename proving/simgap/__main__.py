@@ -1,0 +1,147 @@
+"""Command line of SimGap."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+WORLDS = ("drones", "carts", "pendula", "cart-poles", "double-pendula", "arms", "servos", "quadrotors", "watched")
+"""Of worlds.py, which takes seconds to import."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; errors are one line."""
+    parser = argparse.ArgumentParser(
+        prog="simgap", description="A benchmark for naming what a robot's simulation gets wrong."
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    draw = commands.add_parser("draw", help="draw sessions from a seed")
+    draw.add_argument("folder", type=Path)
+    draw.add_argument("--seed", type=int, help="default: 1, the public one")
+    draw.add_argument(
+        "--secret", action="store_true", help="draw a seed too; it is printed once, and only its hash is kept"
+    )
+    draw.add_argument("--worlds", default=",".join(WORLDS), help="default: %(default)s")
+    draw.add_argument("--numbers", default="0:12", help="of sessions of each world, default: %(default)s")
+    check = commands.add_parser("check", help="check a set against its manifest, or one that was published")
+    check.add_argument("folder", type=Path)
+    check.add_argument("--published", type=Path, help="the manifest that was published")
+    validate = commands.add_parser("validate", help="check an answer")
+    validate.add_argument("session", type=Path)
+    validate.add_argument("answer", type=Path)
+    answer = commands.add_parser("answer", help="answer one session")
+    answer.add_argument("entrant")
+    answer.add_argument("session", type=Path)
+    answer.add_argument("--out", type=Path, required=True)
+    run = commands.add_parser("run", help="answer all sessions of a set")
+    run.add_argument("folder", type=Path)
+    run.add_argument("--entrants", default="", help="default: all of this package")
+    run.add_argument("--command", default="", dest="external", help="of your own entrant: 'mytool {session} {answer}'")
+    run.add_argument("--jobs", type=int, default=1)
+    run.add_argument("--limit", type=float, default=900.0, help="time that a session may take [s]")
+    tune = commands.add_parser("tune", help="set what turns evidence into probabilities, on public sessions")
+    tune.add_argument("folder", type=Path)
+    board = commands.add_parser("board", help="score all answers; write the board as JSON, Markdown and pictures")
+    board.add_argument("folder", type=Path)
+    board.add_argument("--out", type=Path, required=True, help="folder")
+    given = parser.parse_args(arguments)
+    try:
+        return COMMANDS[given.command](given)
+    except (ValueError, OSError) as error:
+        print(f"simgap: {error}", file=sys.stderr)
+        return 2
+
+
+def run_draw(given: argparse.Namespace) -> int:
+    """Draw a set."""
+    from proving.simgap.sets import draw_seed, draw_set, hash_set, read_manifest
+
+    worlds = given.worlds.split(",")
+    if strange := sorted(set(worlds) - set(WORLDS)):
+        raise ValueError(f"no world {', '.join(strange)}: there are {', '.join(WORLDS)}")
+    first, _, last = given.numbers.partition(":")
+    numbers = range(int(first), int(last)) if last else [int(first)]
+    seed = draw_seed() if given.secret else 1 if given.seed is None else given.seed
+    draw_set(given.folder, seed, dict.fromkeys(worlds, numbers), not given.secret)
+    manifest = read_manifest(given.folder)
+    secret = f"; the seed is {seed}: keep it, it is written nowhere" if given.secret else ""
+    print(f"{len(manifest['sessions'])} sessions in {given.folder}, hash {hash_set(manifest)}{secret}")
+    return 0
+
+
+def run_check(given: argparse.Namespace) -> int:
+    """Check a set."""
+    from proving.simgap.sets import check_set
+
+    published = json.loads(given.published.read_text()) if given.published else None
+    print(f"{check_set(given.folder, published)} sessions are as published")
+    return 0
+
+
+def run_validate(given: argparse.Namespace) -> int:
+    """Check an answer."""
+    from proving.simgap.answers import read_answer
+    from proving.simgap.session import read_session
+
+    read_answer(given.answer, read_session(given.session))
+    print(f"{given.answer} is a valid answer")
+    return 0
+
+
+def run_answer(given: argparse.Namespace) -> int:
+    """Answer one session."""
+    from proving.simgap.entrants import answer_session
+    from proving.simgap.run import measure_self
+    from proving.simgap.session import read_session
+
+    try:
+        found = answer_session(given.entrant, read_session(given.session), given.session)
+    except RuntimeError as error:  # of another program
+        raise ValueError(str(error)) from None
+    given.out.write_text(json.dumps(found | {"memory_mb": measure_self()}) + "\n")
+    return 0
+
+
+def run_all(given: argparse.Namespace) -> int:
+    """Answer all sessions of a set."""
+    from proving.simgap.entrants import ENTRANTS
+    from proving.simgap.run import run_entrant
+    from proving.simgap.sets import list_sessions
+
+    names = given.entrants.split(",") if given.entrants else list(ENTRANTS)
+    if not given.external and (strange := sorted(set(names) - set(ENTRANTS))):
+        raise ValueError(f"no entrant {', '.join(strange)}: there are {', '.join(ENTRANTS)}, or give --command")
+    for name in names:
+        valid = run_entrant(name, given.folder, given.external, given.jobs, given.limit)
+        print(f"{name}: {valid} of {len(list_sessions(given.folder))} answers are valid", flush=True)
+    return 0
+
+
+def run_tune(given: argparse.Namespace) -> int:
+    """Tune what turns evidence into probabilities."""
+    from proving.simgap.board import tune_entrants
+
+    for name, score in tune_entrants(given.folder).items():
+        print(f"{name}: log score {score:.3f} on these sessions")
+    return 0
+
+
+def run_board(given: argparse.Namespace) -> int:
+    """Score and write the board."""
+    from proving.simgap.board import write_board
+
+    for path in write_board(given.folder, given.out):
+        print(path)
+    return 0
+
+
+COMMANDS = {
+    "draw": run_draw, "check": run_check, "validate": run_validate, "answer": run_answer, "run": run_all,
+    "tune": run_tune, "board": run_board,
+}  # fmt: skip
+
+if __name__ == "__main__":
+    sys.exit(main())
