@@ -44,7 +44,7 @@ from proving.runner.case import Case  # noqa: E402
 from proving.runner.commits import find_mixture, read_commit  # noqa: E402
 from proving.runner.draw import DECK, FLYING, Plan, draw_plan, draw_plans  # noqa: E402
 from proving.runner.pictures import draw_pictures  # noqa: E402
-from proving.runner.rates import compare_baselines, find_broken, format_table, list_failures, summarise  # noqa: E402
+from proving.runner.rates import find_broken, format_table, list_failures, summarise  # noqa: E402
 from proving.runner.scores import ATTRIBUTES, format_groups, format_reliability, score  # noqa: E402
 
 NIGHTLY = 73127
@@ -72,14 +72,13 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--effects", help="ids to hide, separated by commas; by default all that fly")
     parser.add_argument("--no-oracle", dest="oracle", action="store_false", help="do not fit the true structure too")
-    parser.add_argument("--baselines", type=int, default=0, metavar="N", help="try the others on the first N sessions")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="leave the logs here")
     parser.add_argument("--report", type=Path, nargs="+", metavar="FILE", help="run nothing, report these results")
     parser.add_argument("--mixed", action="store_true", help="go on from or report results of several commits")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="draw pictures into this folder")
     options = parser.parse_args(argv)
-    if options.rigs != "drone" and any((options.nightly, options.effects, options.baselines, options.pictures)):
-        parser.error(f"--rigs {options.rigs} knows no --nightly, --effects, --baselines or --pictures")
+    if options.rigs != "drone" and any((options.nightly, options.effects, options.pictures)):
+        parser.error(f"--rigs {options.rigs} knows no --nightly, --effects or --pictures")
     if options.nightly:
         options.seed, options.oracle = NIGHTLY, False
     return options
@@ -116,7 +115,6 @@ def run(options: argparse.Namespace, plans: Sequence[Any]) -> list[Case]:
     """Run what is not there yet; returns all sessions asked for."""
     done: dict[int, Case] = {}
     commit = read_commit()
-    compared = {p.number for p in [p for p in plans if p.kind in ("single", "none")][: options.baselines]}
     if options.json and options.json.exists():
         content = read_results(options.json)
         if (seed := content["seed"]) != options.seed or content.get("rigs", "drone") != options.rigs:
@@ -131,15 +129,14 @@ def run(options: argparse.Namespace, plans: Sequence[Any]) -> list[Case]:
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         **describe_machine(),
     }
-    bare = {number for number in compared & set(done) if not done[number].baselines}
-    left = [plan for plan in plans if plan.number not in done or plan.number in bare]
+    left = [plan for plan in plans if plan.number not in done]
     with tempfile.TemporaryDirectory() as folder:
         home = options.keep or Path(folder)
         keep = options.keep is not None
         if options.rigs != "drone":
             cases = other.run_sessions(options.rigs, left, home, options.jobs, keep)
         else:
-            cases = run_campaign(left, home, options.jobs, options.oracle, compared, keep, done)
+            cases = run_campaign(left, home, options.jobs, options.oracle, keep)
         for case in tqdm(cases, total=len(left), unit="session", desc="hidden effects", smoothing=0.0):
             done[case.plan.number] = replace(case, commit=case.commit or commit)
             for line in [] if options.nightly else list_failures([case]):
@@ -161,8 +158,6 @@ def report(cases: Sequence[Case], pictures: Path | None) -> None:
     """Print what came out."""
     print("\n".join(["", "not named as hidden:", *list_failures(cases), ""]))
     print(tell_rates(cases))
-    if any(case.baselines for case in cases):
-        print(f"\n{format_table(compare_baselines(cases))}")
     for path in draw_pictures(cases, pictures) if pictures else []:
         print(path)
 

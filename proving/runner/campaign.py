@@ -6,7 +6,7 @@ import json
 import multiprocessing
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
@@ -52,9 +52,7 @@ def run_campaign(
     folder: Path,
     jobs: int,
     oracle: bool,
-    compared: Set[int],
     keep: bool,
-    known: Mapping[int, Case],
 ) -> Iterator[Case]:
     """Fly and diagnose sessions; yields each as it is done, in no order.
 
@@ -63,9 +61,7 @@ def run_campaign(
         folder: for their logs.
         jobs: worker processes.
         oracle: fit the true structure too.
-        compared: numbers of the sessions that the other methods are tried on too.
         keep: leave the logs in `folder`.
-        known: what earlier runs found, by number; those sessions are not diagnosed again.
     """
     waiting = iter([plans[i : i + BATCH] for i in range(0, len(plans), BATCH)])
     flying: dict[Future, Sequence[Plan]] = {}
@@ -83,9 +79,7 @@ def run_campaign(
                 if (batch := flying.pop(future, None)) is not None:
                     fly_next(pool)  # ahead of this batch's diagnoses, so that there is always something to do
                     for plan, logs in zip(batch, future.result()):
-                        also = plan.number in compared
-                        job = pool.submit(run_session, plan, logs, oracle, also, known.get(plan.number))
-                        running[job] = plan
+                        running[pool.submit(run_session, plan, logs, oracle)] = plan
                 else:
                     plan = running.pop(future)
                     if not keep:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from proving.runner.draw import Plan
@@ -64,8 +64,6 @@ class Case:
     plan: Plan | MechanismPlan  # what was hidden
     found: Finding | None  # the diagnosis; None if it failed
     oracle: Finding | None = None  # the same judgement with the true structure fitted; None where that was not done
-    # method → effect that it names ("" for none), on the sessions it was tried on
-    baselines: dict[str, str] = field(default_factory=dict)
     error: str = ""  # why the diagnosis failed, "" otherwise
     commit: str = ""  # of the code that flew and diagnosed it, `+changes` where that was changed; "" where not recorded
 

@@ -179,23 +179,6 @@ def measure_time(cases: Sequence[Case]) -> Figure:
     return Figure("time of a diagnosis, 48 s of flight: median", text)
 
 
-def compare_baselines(cases: Sequence[Case]) -> list[Rate]:
-    """How often each method names the truth first, on the sessions with one effect that all were tried on."""
-    tried = [c for c in cases if c.baselines]
-    single, none = ([c for c in tried if c.plan.kind == kind] for kind in ("single", "none"))
-    rows = [
-        count("vpptwin: named first", (c.all_named for c in single)),
-        count("vpptwin: something named where nothing is hidden", (bool(c.first) for c in none)),
-    ]
-    for method in dict.fromkeys(name for c in tried for name in c.baselines):
-        rows += [
-            count(f"{method}: named first", (c.baselines[method] in c.plan.known for c in single)),
-            count(f"{method}: something named where nothing is hidden",
-                  (c.baselines[method] not in {"", *c.neither} for c in none)),
-        ]  # fmt: skip
-    return rows
-
-
 def list_failures(cases: Sequence[Case]) -> list[str]:
     """A line for every session that went wrong: what was hidden, what was said."""
     lines = []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from proving.drone import fly_many, write_mcap
@@ -48,22 +47,19 @@ def fly_sessions(plans: Sequence[Plan], folder: Path) -> list[list[Path]]:
     return logs
 
 
-def run_session(plan: Plan, logs: Sequence[Path], oracle: bool, baselines: bool, known: Case | None = None) -> Case:
+def run_session(plan: Plan, logs: Sequence[Path], oracle: bool) -> Case:
     """Diagnose a session's logs; a diagnosis that fails is a result too.
 
     Args:
         plan: what was hidden.
         logs: of its flights.
         oracle: fit the true structure too.
-        baselines: try the other methods too.
-        known: what an earlier run found; then only these are tried.
     """
     try:
         flights = [read_flight(log) for log in logs]
-        case = known or diagnose_session(plan, flights, oracle)
+        return diagnose_session(plan, flights, oracle)
     except Exception as error:
         return Case(plan, None, error=f"{type(error).__name__}: {error}")
-    return replace(case, baselines=name_by_baselines(flights)) if baselines else case
 
 
 def diagnose_session(plan: Plan, flights: Sequence[Flight], oracle: bool) -> Case:
@@ -72,13 +68,6 @@ def diagnose_session(plan: Plan, flights: Sequence[Flight], oracle: bool) -> Cas
     if oracle and plan.known:  # a diagnosis that named all of them and nothing else has fitted that structure
         best = found if set(found.named) == plan.known else find(flights, plan.known)
     return Case(plan, found, best)
-
-
-def name_by_baselines(flights: Sequence[Flight]) -> dict[str, str]:
-    """What the methods of others name."""
-    from proving.runner.baselines import BASELINES  # only here: they bring packages of their own
-
-    return {name: method(flights) for name, method in BASELINES.items()}
 
 
 def find(flights: Sequence[Flight], truth: frozenset[str] | None = None, criteria: Criteria = CRITERIA) -> Finding:

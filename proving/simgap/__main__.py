@@ -143,5 +143,11 @@ COMMANDS = {
     "tune": run_tune, "board": run_board,
 }  # fmt: skip
 
-if __name__ == "__main__":
+
+def run() -> None:
+    """The command `simgap`."""
     sys.exit(main())
+
+
+if __name__ == "__main__":
+    run()

@@ -247,7 +247,7 @@ class Lab:
 
     @cached_property
     def lead(self) -> float:
-        """How long before a forecast simulations start: of `LEADS`, that with the least error a tenth of a second on."""
+        """How long before a forecast simulations start: that of `LEADS` with the least error a tenth of a second on."""
         scale = np.array(list(self.session.scales.values()))
 
         def measure(lead: float) -> float:
