@@ -286,8 +286,10 @@ def format_short(error: float) -> str:
 def test_diagnose_prints_what_a_reader_needs(diagnosed: Run) -> None:
     """The sentence with the cause first, errors before and after, and where the files lie; progress aside."""
     lines = diagnosed.said.strip().splitlines()
-    assert re.match(r"Dry friction of 0\.\d+ ± 0\.\d+ N on the horizontal rail, which the twin lacks, ", lines[0])
-    for words in ("(rail_x.coulomb): ", "% probable", "held-out chi²", "Percentages", "noise", "before → after"):
+    assert re.match(
+        r"Dry friction of 0\.\d+ ± 0\.\d+ N on the horizontal rail takes the error half a second ", lines[0]
+    )
+    for words in ("rail_x.coulomb  ", "% probable", "held-out chi²", "What remains is ", "noise", "before → after"):
         assert words in diagnosed.said
     for name in ("report.html", "verdict.json", "twin.yaml"):
         assert str(diagnosed.out / name) in diagnosed.said

@@ -121,6 +121,8 @@ class Criteria:
     better: float = by_hand(2.0, "cost", "by which a rival must win to take a cause's place", "e1272d1")
     most_confident: float = assumed(0.999, "", "confidence at most", "85fc87b")
     suggested: float = assumed(0.89, "", "confidence at most while something material is unexplained", "aede6c2")
+    named: float = assumed(0.1, "", "probability of a cause, or of its kind, below which the extended twin lacks it",
+        "ten rivals that fit alike have as much each")
     explained: float = assumed(0.1, "", "share of the held-out excess chi² left from which a cause is but suggested",
         "73d3b90, rigs whose sensors and disturbances are assumed")
     far_off: float = assumed(25.0, "", "held-out chi² left from which a cause is but suggested: five times the noise",

@@ -13,6 +13,7 @@ from vpptwin.report.export import name_files
 from vpptwin.report.output import Pieces, give_json, stage_results
 from vpptwin.report.result import (
     REPORT,
+    SUGGESTED,
     TWIN,
     VERDICT,
     Result,
@@ -74,7 +75,7 @@ def diagnose_logs(
     if rrd:
         load_extra("rerun", "--rrd")  # before the work
     read = [Path(log) for log in flown if not isinstance(log, Flight)]
-    files = [VERDICT, REPORT, TWIN, *name_files(read), *(name_files(read, ".rrd") if rrd else ())]
+    files = [VERDICT, REPORT, TWIN, SUGGESTED, *name_files(read), *(name_files(read, ".rrd") if rrd else ())]
     deadline = deadline or Deadline()
     with stage_results(out, files, [*list_stale(out), *files], force) as folder, defer_signal(partial(stop, deadline)):
         found = judge_logs(flown, spec, topic_map, effects, True, device, only, deadline, causes)

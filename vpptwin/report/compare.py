@@ -10,7 +10,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from vpptwin.diagnosis.evidence.flights import HORIZONS_S, choose_window, list_starts
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S, SHOWN, choose_window, list_starts
 from vpptwin.diagnosis.evidence.logged_inputs import describe_turned, read_session
 from vpptwin.diagnosis.evidence.noise import NoiseFloor, find_noise_floor
 from vpptwin.diagnosis.judgement.diagnose import open_held_out
@@ -20,7 +20,6 @@ from vpptwin.logs.flight import Flight
 from vpptwin.report.error_table import ErrorTable, tabulate_errors
 from vpptwin.report.output import give_json
 from vpptwin.report.sources import Log, list_logs, open_flights, open_twin
-from vpptwin.report.summary import SHOWN_HORIZON
 from vpptwin.report.terminal import print_beside, print_errors
 from vpptwin.report.words import format_digits
 from vpptwin.system.doubt import take_as_is
@@ -56,9 +55,9 @@ class Scored:
         return tabulate_errors(self.score, None, self.noise)
 
     def __str__(self) -> str:
-        """Chi² and the errors a quarter of a second ahead."""
-        told = [f"{t.quantity} {t.rows[SHOWN_HORIZON].before} {t.unit}" for t in self.tabulate()[:2]]
-        ahead = f"{HORIZONS_S[SHOWN_HORIZON]:g} s ahead"
+        """Chi² and the errors half a second ahead."""
+        told = [f"{t.quantity} {t.rows[SHOWN].before} {t.unit}" for t in self.tabulate()[:2]]
+        ahead = f"{HORIZONS_S[SHOWN]:g} s ahead"
         return f"{self.twin}: chi² {format_digits(self.score.chi2)}, errors {ahead}: {', '.join(told)}"
 
 

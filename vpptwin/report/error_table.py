@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -34,6 +35,19 @@ class ErrorTable:
     noise_label: str = "sensor noise"  # what to call that
     # whether it changed by more than `CHANGED` at some horizon; true where there is nothing to compare
     changed: bool = True
+    pose: bool = True  # of a pose, not of a rate
+    first: Sequence[float] = ()  # the figures before, in `unit`
+    second: Sequence[float] | None = None  # and after
+    spans: Sequence[tuple[float, float]] | None = None  # 90 % intervals of the change, as shares
+
+    def share(self, at: int) -> float:
+        """Share of the error that stays at a horizon; 1 where nobody can tell."""
+        share = self.second[at] / self.first[at] if self.second is not None and self.first[at] > 0.0 else 1.0
+        return share if math.isfinite(share) else 1.0
+
+    def is_doubtful(self, at: int) -> bool:
+        """Whether chance may have made the change there."""
+        return self.spans is not None and self.spans[at][0] < 0.0 < self.spans[at][1]
 
 
 def tabulate_errors(
@@ -69,7 +83,9 @@ def tabulate_errors(
         ]
         floor = noise.rmse.get(key)
         shown = format_error(1e3 * floor) if floor is not None else ""
-        tables.append(ErrorTable(quantity, unit, rows, shown, noise.label, is_changed(first, second)))
+        given = [1e3 * error for error in first], second and [1e3 * error for error in second], spans
+        about = shown, noise.label, is_changed(first, second), key in (POSITION, ANGLE)
+        tables.append(ErrorTable(quantity, unit, rows, *about, *given))
     return tables
 
 

@@ -42,7 +42,7 @@ from vpptwin.system.terminal import print_dropped
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.warp.replay import choose_maker
 
-VERDICT, REPORT, TWIN = "verdict.json", "report.html", "twin.yaml"
+VERDICT, REPORT, TWIN, SUGGESTED = "verdict.json", "report.html", "twin.yaml", "twin_suggested.yaml"
 LINES, COLUMNS = 10, 160
 """A result prints in no more than so many lines of so many characters."""
 LONG = 60.0
@@ -72,13 +72,15 @@ class Result:
 
     Attributes:
         verdict: causes, errors before and after, what is left, as in verdict.json.
-        twin: the diagnosed twin with the fitted causes switched on.
+        twin: the diagnosed twin with the fitted causes switched on, but for those that are hardly probable.
+        suggested: the same with these too; None where there are none.
         summary: the verdict in sentences.
         lost: pictures and files that could not be made, and why; also among the verdict's warnings.
     """
 
     verdict: Verdict
     twin: TwinSpec
+    suggested: TwinSpec | None
     summary: Summary
     lost: list[str]
     _spec: TwinSpec = field(repr=False)
@@ -92,10 +94,8 @@ class Result:
 
     def __str__(self) -> str:
         """The verdict in at most ten lines."""
-        told = self.summary
-        lines = [told.headline, *told.others, *told.certainty, told.remedy, told.error, told.unexplained]
-        lines += [f"fly next: {told.experiment}" if told.experiment else "", *self.verdict.warnings]
-        shown = [shorten(line, COLUMNS, placeholder=" …") for line in lines if line]
+        lines = [*self.summary.lines, *self.verdict.warnings]
+        shown = [shorten(line, COLUMNS, placeholder=" …") for line in lines]
         return "\n".join(shown if len(shown) <= LINES else [*shown[: LINES - 1], f"and {len(shown) - LINES + 1} more"])
 
     __repr__ = __str__
@@ -118,7 +118,12 @@ class Result:
     @property
     def files(self) -> list[str]:
         """Names of what `save` writes."""
-        return [VERDICT, REPORT, TWIN, *name_files(self._logs)]
+        return [VERDICT, REPORT, *self._twins, *name_files(self._logs)]
+
+    @property
+    def _twins(self) -> dict[str, TwinSpec]:
+        """Twins that are written, by their file names."""
+        return {TWIN: self.twin} | ({SUGGESTED: self.suggested} if self.suggested is not None else {})
 
     def draw(self) -> Result:
         """The same with pictures and predictions, as far as they can be made."""
@@ -149,8 +154,11 @@ class Result:
         origin = self._origin.add(["--out", str(out)])
         traced = {"command": origin.command, "date": origin.date, "twin": origin.twin}
         pieces, made = Pieces(list(self._drawn.lost)), [VERDICT]
-        twin = pieces.attempt(TWIN, partial(compose_twin, self._spec, self.twin.effects, self.verdict, origin, out), "")
-        made += [TWIN] if twin else []
+        twins = {
+            name: pieces.attempt(name, partial(compose_twin, self._spec, twin.effects, self.verdict, origin, out), "")
+            for name, twin in self._twins.items()
+        }
+        made += [name for name, content in twins.items() if content]
         for suffix in (".mcap", ".rrd") if rrd else (".mcap",):
             for prediction, name in zip(self._drawn.predictions, name_files(self._logs, suffix), strict=True):
                 if prediction is not None:  # or else it is told already
@@ -159,7 +167,7 @@ class Result:
         page = pieces.attempt(REPORT, lambda: self.tell(pieces.lost)._render(origin, out, made), "")
         told = self.tell(pieces.lost)
         write_json(told.verdict.as_dict(), folder / VERDICT)
-        for name, content in ((TWIN, twin), (REPORT, page)):
+        for name, content in (*twins.items(), (REPORT, page)):
             if content:
                 write_whole(folder / name, content)
         return told
@@ -366,7 +374,11 @@ def read_causes(folder: Path) -> tuple[list[Path], str, list[str]]:
     """
     try:
         told = loads((folder / VERDICT).read_text(encoding="utf-8"))
-        return [Path(log) for log in told["logs"]], str(told["twin"]), [cause["effect"] for cause in told["causes"]]
+        return (
+            [Path(log) for log in told["logs"]],
+            str(told["twin"]),
+            [cause["effect"] for cause in told["causes"] if not cause.get("weak")],
+        )
     except (OSError, ValueError, KeyError, TypeError) as error:
         found = f"--from {folder}: no readable {VERDICT}"
         raise InputError(found, "a folder that `vpptwin diagnose` wrote", "name another") from error
@@ -386,10 +398,12 @@ def collect_result(
     """
     verdict, meanings = diagnosis.verdict, name_meanings(spec)
     extended = spec.with_effects(extend_effects(spec, diagnosis.values))
-    twins = [spec, extended] if verdict.causes else [spec]
+    suggested = spec.with_effects(extend_effects(spec, diagnosis.suggested)) if diagnosis.suggested else None
+    twins = [spec, extended] if verdict.named else [spec]
     noise = find_noise_floor(diagnosis.measurements)
     return Result(
-        verdict, extended, summarise(verdict, noise, meanings), [], spec, [flight.path for flight in flights],
+        verdict, extended, suggested, summarise(verdict, noise, meanings), [], spec,
+        [flight.path for flight in flights],
         rank_suspects(diagnosis.ranking, verdict, meanings), [flight.describe() for flight in diagnosis.preflight],
         origin, list(options), Drawn(Pictures(), [None] * len(flights), [UNDRAWN]),
         partial(draw_result, twins, flights, diagnosis, noise),
@@ -416,6 +430,6 @@ def list_stale(out: Path) -> list[str]:
     try:
         verdict = loads((out / VERDICT).read_text(encoding="utf-8"))
         logs = [Path(log) for log in verdict["logs"]]
-        return [*name_files(logs), *name_files(logs, ".rrd")]
+        return [SUGGESTED, *name_files(logs), *name_files(logs, ".rrd")]
     except (OSError, ValueError, KeyError, TypeError):
         return []

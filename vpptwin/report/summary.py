@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S, SHOWN
 from vpptwin.diagnosis.evidence.noise import NoiseFloor
 from vpptwin.diagnosis.judgement.verdict import (
     Cause,
@@ -18,9 +19,8 @@ from vpptwin.diagnosis.judgement.verdict import (
     Verdict,
 )
 from vpptwin.effects import UNLIMITED
-from vpptwin.report.error_table import ErrorTable, tabulate_errors
+from vpptwin.report.error_table import CHANGED, ErrorTable, format_error, tabulate_errors
 from vpptwin.report.words import (
-    choose_unit,
     format_digits,
     format_plain,
     format_value,
@@ -30,33 +30,33 @@ from vpptwin.report.words import (
 )
 from vpptwin.system.deadline import tell_time
 
-SHOWN_HORIZON = 2
-"""Place of the horizon that the sentence names, 0.25 s: past the noise, before a drone without control is lost."""
+AHEAD = ("0.05 s", "0.1 s", "a quarter of a second", "half a second", "one second")
+"""`HORIZONS_S` in words."""
 REACHABLE = 0.1 * UNLIMITED
 """Limits below this are some; a twin with more has none."""
-SUGGESTED = 0.89
-"""Confidence up to which a cause is but suggested; `Criteria.suggested` caps it there."""
+SURE = 0.89
+"""Confidence beyond which a headline names a cause without how probable it is; `Criteria.suggested` caps there."""
 FLOOR = 1.5
 """Held-out chi² up to which an error may be called noise; a right explanation leaves 1.05 to 1.15 on the drone."""
-FAR = 4.0
-"""Held-out chi² beyond which an error that disturbances of a usual size make is not told as so many times the noise."""
 WHOLE = 0.95
 """Shares of what drives a joint from which a force is as strong as that."""
 MOST_WITHIN = 4
 """Effects within their tolerance that are told of at most."""
+MOST_NAMED = 3
+"""Causes that the headline names at most."""
+MOST_SHAPED = 2
+"""Parameters up to which the headline tells all of a cause."""
+FAINT = 0.05
+"""Probability below which a rival is not told."""
 NOTHING = 0.005
-"""Shares of the error up to this are written as less than one percent."""
-WEAK = 0.05
-"""Confidence below which a cause or a rival is folded away."""
-MOST_RIVALS = 1
-"""Rivals that the headline names at most."""
+"""Probabilities below this are written as less than one percent."""
+LESS, HALF = 2.0, 0.5
+"""An error of which one second ahead so many times as large a share stays, and more than that, is told there too."""
 SHARE = (
-    "Percentages are shares of the held-out excess chi²: the squared error on held-out data beyond sensor noise. "
+    "Shares are of the held-out excess chi²: the squared error on held-out data beyond sensor noise. "
     "Short horizons dominate them; the error 1 s ahead may change less."
 )
 """What the percentages beside causes are shares of; those of what is left are shares of the missing force."""
-ALONE = "On held-out stretches of this log"
-"""Where errors are from, of one log: no other confirms them."""
 HORIZON = (
     "The twin predicts open loop, without corrections. Errors of the starting state and disturbances grow over the "
     "horizon, so the last error may stay large although the twin is right."
@@ -71,52 +71,49 @@ SURER = 0.05
 
 
 @dataclass(frozen=True)
+class Row:
+    """Causes of one kind at one place and their rivals of that kind, then other rivals, a line for each kind."""
+
+    effects: str
+    text: str
+    instead: list[str]
+
+
+@dataclass(frozen=True)
 class Summary:
     """What a verdict says, in sentences."""
 
     headline: str  # the sentence to read if one reads no other
+    more: list[str]  # what belongs to it: an error that falls less, a twin that is suggested
     partial: str  # what was not looked at; "" where everything was
+    rows: list[Row]  # causes and rivals with sizes and probabilities
+    remains: str  # what is left
     remedy: str  # what would help against an error far above the sensors' noise; "" where there is none
-    others: list[str]  # one sentence for each cause that the headline is not about
-    weak: list[str]  # the same of causes that are hardly probable
-    certainty: list[str]  # for each cause how sure it is, then what else it could be
-    share: str  # what shares of the error are shares of; "" where none is named
-    error: str  # the error before and after
+    weak: list[str]  # causes that the extended twin lacks
     tables: list[ErrorTable]  # errors by horizon
-    unexplained: str  # what is left
     experiment: str | None  # what to fly next; None if nothing is to be decided
+
+    @property
+    def lines(self) -> list[str]:
+        """All of it, line by line."""
+        rows = [line for row in self.rows for line in (f"{row.effects}: {row.text}", *row.instead)]
+        told = [self.headline, *self.more, self.partial, *rows, self.remains, self.remedy]
+        return [line for line in [*told, f"fly next: {self.experiment}" if self.experiment else ""] if line]
 
 
 def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) -> Summary:
     """Put a verdict into sentences; meanings: effect id → summary of the catalogue."""
-    tables = tabulate_errors(verdict.before, verdict.after if verdict.causes else None, noise, verdict.improvement)
-    told = [
-        describe_cause(cause, meanings, verdict.before.chi2, is_suggested(cause, verdict)) for cause in verdict.causes
-    ]
-    first = 0 if verdict.misfit is not None else 1
-    behind = list(zip(verdict.causes, told))[first:]
+    tables = tabulate_errors(verdict.before, verdict.after if verdict.named else None, noise, verdict.improvement)
+    first, *more = say_first(verdict, tables, noise, meanings)
+    first = f"Of some candidates only: {first}" if verdict.only else first
+    if verdict.stopped is not None:
+        first = f"Partial, stopped by {verdict.stopped.why}: {first}"
     return Summary(
-        headline=headline(verdict, meanings), partial=describe_partial(verdict), remedy=describe_remedy(verdict),
-        others=[sentence for cause, sentence in behind if cause.confidence >= WEAK],
-        weak=[sentence for cause, sentence in behind if cause.confidence < WEAK],
-        certainty=[
-            line
-            for cause in verdict.causes
-            if cause.confidence >= WEAK or cause is verdict.causes[0]
-            for line in describe_certainty(cause, meanings, is_suggested(cause, verdict), verdict.partial)
-        ],
-        share=SHARE if any("of the error" in sentence for sentence in told) else "",
-        error=describe_error(verdict, tables), tables=tables, unexplained=describe_unexplained(verdict),
+        headline=first, more=more, partial=describe_partial(verdict), rows=list_rows(verdict, meanings),
+        remains=describe_remainder(verdict, tables), remedy=describe_remedy(verdict),
+        weak=[describe_sure(cause, meanings) for cause in verdict.weak], tables=tables,
         experiment=describe_experiment(verdict.experiment, meanings) if verdict.experiment is not None else None,
     )  # fmt: skip
-
-
-def headline(verdict: Verdict, meanings: Mapping[str, str]) -> str:
-    """The sentence to read if one reads no other, which says so if not everything was looked at."""
-    told = say_first(verdict, meanings)
-    if verdict.stopped is None:
-        return f"Of some candidates only: {told}" if verdict.only else told
-    return f"Partial, stopped by {verdict.stopped.why}: {told}"
 
 
 def describe_partial(verdict: Verdict) -> str:
@@ -132,27 +129,98 @@ def describe_partial(verdict: Verdict) -> str:
     return " ".join(told)
 
 
-def say_first(verdict: Verdict, meanings: Mapping[str, str]) -> str:
-    """How far off the twin is where that is far, else the first cause."""
-    if verdict.misfit is not None:
-        return describe_misfit(verdict.misfit, verdict, meanings)
-    if verdict.causes:
-        first = verdict.causes[0]
-        return describe_cause(first, meanings, verdict.before.chi2, is_suggested(first, verdict))
-    if verdict.unexplained.significant and not verdict.partial:
-        return "The twin has an error that no known effect explains."
+def say_first(
+    verdict: Verdict, tables: Sequence[ErrorTable], noise: NoiseFloor, meanings: Mapping[str, str]
+) -> list[str]:
+    """What helps, by how much; or that nothing is wrong, or that nothing was found."""
+    where = say_where(verdict)
+    told = describe_gain(verdict.named, tables, where, meanings) if verdict.named else []
+    if verdict.suggested is not None and verdict.suggests:
+        tables = tabulate_errors(verdict.after, verdict.suggested, noise)
+        more = describe_gain(verdict.weak, tables, where, meanings)[0]
+        told.append(f"Not certain, but twin_suggested.yaml predicts better: {more[0].lower()}{more[1:]}")
+    return told or [say_nothing(verdict, tables, where)]
+
+
+def say_nothing(verdict: Verdict, tables: Sequence[ErrorTable], where: str) -> str:
+    """The headline without a cause."""
+    error = f"the error {AHEAD[SHOWN]} ahead, {format_ahead(tables, SHOWN, False)},"
+    nothing = "No cause was found among what was tried" if verdict.partial else "No cause was found"
     if verdict.unexplained.significant:
-        return f"The twin has an unexplained error; {name_nothing(verdict)}."
-    if not is_floor(verdict):
-        return f"The error of the twin is {describe_miss(verdict)}; {name_nothing(verdict)}."
-    if verdict.partial:
-        return "The error of the twin may be noise; no cause was found among what was tried."
-    return "The residuals are consistent with sensor noise and disturbances; no effect is needed."
+        if not verdict.partial:
+            nothing = "Something is wrong that no known effect explains"
+        return f"{nothing}: {error} has structure {where}."
+    if verdict.misfit is not None or not is_floor(verdict):
+        return f"{nothing}: {error} is more than sensor noise makes {where}."
+    if not verdict.partial:
+        nothing = "Nothing is wrong that these data show"
+    return f"{nothing}: {error} is consistent with sensor noise and disturbances {where}."
 
 
-def name_nothing(verdict: Verdict) -> str:
-    """That nothing is named, for good or so far."""
-    return "no cause was found among what was tried" if verdict.partial else "no cause was found"
+def say_where(verdict: Verdict) -> str:
+    """On which data errors are measured."""
+    if len(verdict.logs) == 1:
+        return f"(held-out stretches of {Path(verdict.logs[0]).stem})"
+    return f"(held-out data of {len(verdict.logs)} logs)"
+
+
+def describe_gain(
+    causes: Sequence[Cause], tables: Sequence[ErrorTable], where: str, meanings: Mapping[str, str]
+) -> list[str]:
+    """What causes together do to the error; then what they do to it one second ahead, if that is much less."""
+    places = [*(find_place(cause) for cause in causes[:MOST_NAMED]), ""]
+    few = [
+        describe_sure(cause, meanings, own if own == following else "")  # one place is told once
+        for cause, own, following in zip(causes, places, places[1:])
+    ]
+    rest = [f"{len(causes) - MOST_NAMED} more" if len(causes) > MOST_NAMED else ""]
+    what, many = join_words([*few, *filter(None, rest)]), len(causes) > 1
+    what, verb = f"{what[0].upper()}{what[1:]}{' together' * many}", "take" if many else "takes"
+    if not many and is_plural(causes[0].summary):
+        verb = "take"
+    if causes[0].summary.startswith("a wrong "):
+        what, verb = f"Correcting {what[0].lower()}{what[1:]}", "takes"
+    found = find_changes(tables)
+    if found is None:
+        hardly = f"hardly {'change' if verb == 'take' else 'changes'}"
+        impacts = sum(cause.blows for cause in causes)
+        shown = f"; {impacts} impacts show it" if impacts else ""
+        return [f"{what} {hardly} the error {AHEAD[SHOWN]} ahead, {format_ahead(tables, SHOWN, False)} {where}{shown}."]
+    at, changed = found
+    chance = ", perhaps by chance" if all(table.is_doubtful(at) for table in changed) else ""
+    told = [f"{what} {verb} the error {AHEAD[at]} ahead {format_ahead(changed, at)}{chance} {where}."]
+    late = [t for t in changed if t.share(-1) > max(LESS * t.share(at), HALF)]
+    return [*told, *([f"{AHEAD[-1].capitalize()} ahead it goes {format_ahead(late, -1)}."] if late else [])]
+
+
+def find_changes(tables: Sequence[ErrorTable]) -> tuple[int, list[ErrorTable]] | None:
+    """The horizon that a headline tells, and what changes there: `SHOWN`, or where a pose or else a rate changes most.
+
+    None where nothing changes.
+    """
+    for some in ([t for t in tables if t.pose], [t for t in tables if not t.pose]):
+        far = {at: max((abs(1.0 - t.share(at)) for t in some), default=0.0) for at in range(len(HORIZONS_S))}
+        for at in (SHOWN, max(far, key=far.__getitem__)):
+            if far[at] > CHANGED:
+                return at, [t for t in some if abs(1.0 - t.share(at)) > CHANGED]
+    return None
+
+
+def format_ahead(tables: Sequence[ErrorTable], at: int, change: bool = True) -> str:
+    """Errors at a horizon: `from 135 to 2.5 mm and from 20 to 3 mrad`, or without the change `2.5 mm and 3 mrad`."""
+    told = []
+    for table in [table for table in tables if table.pose] or tables:
+        last = (table.second or table.first)[at]
+        errors = [table.first[at], last] if change else [last]
+        told.append(f"{'from ' * change}{format_errors(table.unit, *errors)}")
+    return " and ".join(told)
+
+
+def format_errors(unit: str, *errors: float) -> str:
+    """One error, or two, in a unit that suits them: `135 to 2.5 mm`."""
+    size = max((error for error in errors if math.isfinite(error)), default=0.0)
+    factor, unit = (1e-3, unit[1:]) if size >= 1e3 and unit.startswith("m") else (1.0, unit)
+    return f"{' to '.join(format_error(factor * error) for error in errors)} {unit}"
 
 
 def is_floor(verdict: Verdict) -> bool:
@@ -160,51 +228,153 @@ def is_floor(verdict: Verdict) -> bool:
     return verdict.after.chi2 <= FLOOR
 
 
-def describe_miss(verdict: Verdict) -> str:
-    """How large the error that is left is."""
-    chi2 = verdict.after.chi2
-    times = format_digits(math.sqrt(chi2))
-    return f"{times} times the sensor noise (held-out chi² {format_digits(chi2)}, noise floor 1)"
+def find_place(told: Cause | Rival) -> str:
+    """Where a cause or a rival acts, as its summary ends; "" where it does not."""
+    fits = SIZE_FITS.match(told.summary)
+    return fits[2] if fits else ""
 
 
-def describe_misfit(misfit: Misfit, verdict: Verdict, meanings: Mapping[str, str]) -> str:
-    """How far the twin is off where that is far: how much, in which joint, from when on, and by how much at the end."""
-    last = f"{HORIZONS_S[-1]:g} s ahead"
-    if not misfit.joint:
-        where = ""
-    elif not math.isfinite(misfit.rmse):
-        where = f", largest in {misfit.joint}, whose simulation diverges"
-    elif misfit.horizon_s is None:
-        where = f", largest in {misfit.joint}: {format_error_of(misfit)} {last}"
-    elif misfit.horizon_s == HORIZONS_S[-1]:
-        where = f", largest in {misfit.joint}: {format_error_of(misfit)} {last}, not before"
+def describe_sure(cause: Cause, meanings: Mapping[str, str], place: str = "") -> str:
+    """A cause with its size, without its `place`, and how probable it is where that is not sure."""
+    told = describe_size(cause, meanings, True, place)
+    if cause.confidence > SURE:
+        return told
+    certain = cause.kind_confidence > max(SURE, cause.confidence + SURER)
+    doubt = "law not certain" if certain else f"{format_probability(cause.confidence)} probable"
+    return f"{told[:-1]}; {doubt})" if told.endswith(")") else f"{told} ({doubt})"
+
+
+def format_probability(confidence: float) -> str:
+    """In percent, with a digit behind the point only near 1."""
+    if confidence < NOTHING:
+        return "<1 %"
+    return f"{100.0 * confidence:.3g} %" if confidence > 0.99 else f"{100.0 * confidence:.0f} %"
+
+
+def describe_size(told: Cause | Rival, meanings: Mapping[str, str], brief: bool = False, place: str = "") -> str:
+    """What and how much: `dry friction of 0.31 ± 0.01 N on joint slide`, `a wrong gain of actuator m2 (0.86 ± 0.01)`.
+
+    Args:
+        told: a cause or a rival.
+        meanings: effect id → summary.
+        brief: of many parameters only the first.
+        place: words that are left out, as they stand in front.
+    """
+    summary = told.summary or meanings.get(told.effect, told.effect)
+    if not told.parameters:
+        return summary.removesuffix(place)
+    (name, strength), *shape = told.parameters.items()
+    size = format_value(strength, signed=summary.startswith("a wrong ") and strength.nominal == 0.0)
+    beside = [f"{n} {format_value(e)}" for n, e in shape if not brief or len(shape) < MOST_SHAPED]
+    given = format_plain(strength.nominal, strength) if 0.0 < abs(strength.nominal) < REACHABLE else ""
+    if fits := SIZE_FITS.match(summary) if strength.unit else None:
+        beside = [*([f"in the twin {given}"] if given else []), *beside]
+        what = f"{fits[1]} of {size}{fits[2]}".removesuffix(place)
     else:
-        where = f", largest in {misfit.joint} from {misfit.horizon_s:g} s ahead on: {format_error_of(misfit)} {last}"
-    named = ""
-    if verdict.causes:  # of which each has a sentence of its own
-        count = len(verdict.causes)
-        named = (
-            f" with {name_effect(verdict.causes[0].effect, meanings) if count == 1 else f'the {count} causes below'}"
-        )
-    nothing = "" if verdict.causes else f"; {name_nothing(verdict)}"
-    return f"The error of the twin{named} is {describe_miss(verdict)}{where}{nothing}."
+        named = size if not beside and (strength.unit or name in summary.split()) else f"{name} {size}"
+        what, beside = summary, [named, *([f"in the twin {given}"] if given else []), *beside]
+    return f"{what} ({', '.join(beside)})" if beside else what
 
 
-def format_error_of(misfit: Misfit) -> str:
-    """The error at the last horizon with its unit."""
-    unit, factor = choose_unit(misfit.unit, abs(misfit.rmse))
-    return f"{factor * misfit.rmse:.3g} {unit}"
+def list_rows(verdict: Verdict, meanings: Mapping[str, str]) -> list[Row]:
+    """A row for the causes of each kind and place, strongest first."""
+    groups: dict[tuple[str, ...], list[Cause]] = {}
+    for cause in verdict.named:
+        groups.setdefault(find_kind(cause), []).append(cause)
+    known = {cause.effect for cause in verdict.causes}
+    return [describe_group(kind, causes, known, meanings) for kind, causes in groups.items()]
+
+
+def find_kind(told: Cause | Rival) -> tuple[str, ...]:
+    """What makes causes and rivals one: kind and place, or the effect alone where it has no kind."""
+    return (told.kind, told.effect.rpartition(".")[0]) if told.kind else (told.effect,)
+
+
+def describe_group(
+    kind: tuple[str, ...], causes: Sequence[Cause], known: Container[str], meanings: Mapping[str, str]
+) -> Row:
+    """The row of causes of a kind, with rivals but those that are `known` as causes."""
+    rivals: dict[tuple[str, ...], dict[str, Rival]] = {kind: {}}
+    told = [rival for cause in causes for rival in cause.also_explained_by]
+    for rival in sorted(told, key=lambda rival: -rival.confidence):
+        if rival.effect not in known and rival.confidence >= FAINT and is_there(rival):
+            rivals.setdefault(find_kind(rival), {}).setdefault(rival.effect, rival)
+    place, alike = find_place(causes[0]), list(rivals.pop(kind).values())
+    own = [describe_probable(cause, meanings, place * bool(i)) for i, cause in enumerate(causes)]
+    own[0] += " probable"
+    text = " · or ".join([" · and ".join(own), *(describe_probable(rival, meanings, place) for rival in alike)])
+    sure = max(cause.kind_confidence for cause in causes)
+    if sure > max(cause.confidence for cause in causes) + SURER:
+        text += f" ({causes[0].kind} of any law: {format_probability(sure)})"
+    instead = []
+    for first, *rest in (list(row.values()) for row in rivals.values()):
+        there = find_place(first)
+        others = [describe_probable(first, meanings, place), *(describe_probable(r, meanings, there) for r in rest)]
+        instead.append(f"or instead {' · or '.join(others)}")
+    return Row(", ".join(cause.effect for cause in causes), f"{text[0].upper()}{text[1:]}", instead)
+
+
+def is_there(rival: Rival) -> bool:
+    """Whether a rival's size is told apart from none; what has none explains nothing."""
+    strength = next(iter(rival.parameters.values()), None)
+    return strength is None or not abs(strength.value - strength.nominal) < strength.std
+
+
+def describe_probable(told: Cause | Rival, meanings: Mapping[str, str], place: str = "") -> str:
+    """What, how much, and how probable."""
+    return f"{describe_size(told, meanings, place=place)}, {format_probability(told.confidence)}"
+
+
+def describe_remainder(verdict: Verdict, tables: Sequence[ErrorTable]) -> str:
+    """What is left, in the units and at the horizon of the headline, and what it is like."""
+    left = verdict.unexplained
+    if not verdict.named and (verdict.suggests or (not left.significant and is_floor(verdict))):
+        return ""  # the headline says it
+    error = f"{format_ahead(tables, SHOWN, False)} {AHEAD[SHOWN]} ahead"
+    like = f"It acts like {describe_force(left)}" if left.force is not None else ""
+    if verdict.misfit is not None:
+        told = describe_misfit(verdict.misfit)
+    elif left.significant:
+        told = f"It follows {join_words(left.depends_on)}" if left.depends_on else ""
+        told = f"{like}, more than disturbances usually do" if like and not told else told
+        mostly = f", mostly in {left.channel}" if left.channel else ""
+        told = told or f"It has structure that no effect explains{mostly}"
+    elif is_floor(verdict):
+        told = "It is consistent with noise and disturbances"
+    elif like:
+        told = f"{like}, as disturbances do"
+    else:
+        told = describe_times(math.sqrt(verdict.after.chi2))
+    return f"What remains is {error}. {told}." if verdict.named else f"{told}."
+
+
+def describe_times(times: float) -> str:
+    """How far above the noise an error is."""
+    return f"No candidate explains it; over short windows it is {format_digits(times)} times the sensor noise"
+
+
+def describe_misfit(misfit: Misfit) -> str:
+    """How far the twin is off where that is far: how much, in which joint, from when on."""
+    told = describe_times(misfit.times)
+    if not misfit.joint:
+        return told
+    told += f", largest in {misfit.joint}"
+    if not math.isfinite(misfit.rmse):
+        return f"{told}, whose simulation diverges"
+    if misfit.horizon_s == HORIZONS_S[-1]:
+        return f"{told}, where it shows {AHEAD[-1]} ahead only"
+    return told if misfit.horizon_s is None else f"{told}, where it shows from {misfit.horizon_s:g} s ahead on"
 
 
 def describe_remedy(verdict: Verdict) -> str:
     """What would help against a misfit; "" without one."""
-    if verdict.misfit is None:
+    if verdict.misfit is None or verdict.suggests:
         return ""
     if verdict.misfit.within:
-        few, share = join_words(verdict.misfit.within[:MOST_WITHIN]), verdict.misfit.explained
-        much = f"{100.0 * share:.0f} % of it" if share < 0.9 else "it"
+        few = join_words(verdict.misfit.within[:MOST_WITHIN])
+        much = "most of it" if verdict.misfit.explained < 0.9 else "it"
         return (
-            f"What may help: {few} may be off within their build tolerances, and together that explains {much}, so "
+            f"What may help: {few} may be off within their build tolerances, and together make {much}, so "
             "none of them is named: measure one, or log a motion that separates them."
         )
     joint = verdict.misfit.joint or "the joints"
@@ -224,145 +394,18 @@ def describe_remedy(verdict: Verdict) -> str:
     return f"What may help: {check}; leave out what somebody touched; log other motion, {joint} alone."
 
 
-def is_suggested(cause: Cause, verdict: Verdict) -> bool:
-    """Whether a cause is only suggested: not sure, while something material is left, or was not looked at."""
-    left = verdict.unexplained.significant or verdict.misfit is not None or not is_floor(verdict)
-    return (left or verdict.partial) and cause.confidence <= SUGGESTED
+def describe_share(cause: Cause, chi2: float) -> str:
+    """Which share of the held-out excess chi² a cause removes, or of the error in impacts; `chi2` is that before.
 
-
-def describe_cause(cause: Cause, meanings: Mapping[str, str], chi2: float = math.inf, suggested: bool = False) -> str:
-    """One sentence: what, how much, what the twin has instead, what it explains of held-out `chi2`, and rivals."""
-    (name, strength), *shape = cause.parameters.items()
-    wrong = cause.summary.startswith("a wrong ")
-    size = format_value(strength, signed=wrong and strength.nominal == 0.0)
-    if fits := SIZE_FITS.match(cause.summary) if strength.unit else None:
-        what = f"{fits[1]} of {size}{fits[2]}"
-        what += f" ({', '.join(f'{n} {format_value(e)}' for n, e in shape)})" if shape else ""
-    elif shape or not strength.unit:
-        size = size if not shape and name in cause.summary.split() else f"{name} {size}"
-        what = f"{cause.summary}, {join_words([size] + [f'{n} {format_value(e)}' for n, e in shape])}"
-    else:
-        what = f"{cause.summary}, {size}"
-    if 0.0 < abs(strength.nominal) < REACHABLE:
-        what += f", where the twin has {format_plain(strength.nominal, strength)},"
-    else:
-        what += "," if wrong else ", which the twin lacks,"
-    shown = [rival for rival in cause.also_explained_by if rival.confidence >= WEAK]
-    named = [name_effect(rival.effect, meanings) for rival in shown[:MOST_RIVALS]]
-    more = [count_effects(len(shown) - MOST_RIVALS)] if len(shown) > MOST_RIVALS else []
-    rivals = join_words(named + more, "or")
-    also = f"; so might {rivals}" if rivals else ""
-    told = f"{what} {describe_gain(cause, chi2)}{also}."
-    return f"Suggested: {told}" if suggested else f"{told[0].upper()}{told[1:]}"
-
-
-def describe_gain(cause: Cause, chi2: float) -> str:
-    """The verb of a cause's sentence: which share of the error goes away with it, or that none does.
-
-    Beyond 1 are gains that go below the noise floor, or that the other causes made necessary, and all gains where
-    `chi2`, before, hardly was above that floor.
+    Where that hardly was above the floor there are none. Beyond 1 are those that go below it.
     """
-    many = is_plural(cause.summary)
-    explain, reduce = ("explain", "reduce") if many else ("explains", "reduces")
-    if cause.gain > -NOTHING and not cause.gain > NOTHING:
-        return f"{'change' if many else 'changes'} the error on held-out data by less than 1 %"
-    if not cause.gain > NOTHING:
-        return f"{'do' if many else 'does'} not reduce the error on held-out data"
-    if cause.gain > 1.0 and chi2 <= FLOOR:
-        return f"{reduce} the error on held-out data, which hardly exceeded the assumed noise"
-    share = f"{explain} {'all' if cause.gain > 1.0 else f'{100.0 * cause.gain:.0f} %'} of the error"
-    if cause.blows:
-        return f"{share} in {cause.blows} impacts, each predicted from the others"
+    if chi2 <= FLOOR and not cause.blows:
+        return "-"
+    share = f"{100.0 * min(cause.gain, 1.0):.0f} %" + (f" in {cause.blows} impacts" if cause.blows else "")
     if cause.gain_interval is not None and cause.gain_interval[0] <= 0.0:
         low, high = (100.0 * bound for bound in cause.gain_interval)
-        return f"{share}, perhaps by chance (90 % interval {low:.0f} to {high:.0f} %)".replace("-", "−")
-    return share
-
-
-def describe_certainty(
-    cause: Cause, meanings: Mapping[str, str], suggested: bool = False, partial: bool = False
-) -> list[str]:
-    """How sure the naming is, and a sentence for everything else that it could be.
-
-    Args:
-        cause: what is named.
-        meanings: effect id → summary.
-        suggested: whether it is no more than suggested.
-        partial: whether not everything was looked at.
-    """
-    sure = f"{name_effect(cause.effect, meanings)}: {100.0 * cause.confidence:.3g} % probable"
-    sure = sure[0].upper() + sure[1:] if cause.effect in meanings else sure
-    if cause.kind_confidence > cause.confidence + SURER:
-        sure += f" ({cause.kind} of any law: {100.0 * cause.kind_confidence:.3g} %)"
-    if partial:
-        sure += ", only suggested, because not every rival was fitted"
-    else:
-        sure += ", only suggested while something is unexplained" if suggested else ""
-    if not cause.also_explained_by and partial:
-        return [f"{sure}."]
-    if not cause.also_explained_by:
-        held = ", if the assumed noise is right" if suggested else ""
-        return [f"{sure}; no other effect explains these data as well{held}."]
-    return [f"{sure}.", describe_rivals(cause, meanings)]
-
-
-def describe_rivals(cause: Cause, meanings: Mapping[str, str]) -> str:
-    """What else it could be, with probabilities and distances from the cause; rivals that are weak are counted."""
-    shown = [rival for rival in cause.also_explained_by if rival.confidence >= WEAK]
-    told = [f"{name_effect(rival.effect, meanings)}, {describe_distance(rival)}" for rival in shown]
-    if weak := len(cause.also_explained_by) - len(shown):
-        told.append(f"{count_effects(weak)} below {100.0 * WEAK:.0f} % each")
-    return f"It may instead be {'; or '.join(told)}."
-
-
-def count_effects(number: int) -> str:
-    """So many other effects, in words."""
-    return f"{number} other effect{'s' if number != 1 else ''}"
-
-
-def describe_distance(rival: Rival) -> str:
-    """How probable a rival is, and by how much worse it fits."""
-    fits = "fits equally well" if rival.sigma < 0.05 else f"fits worse by {rival.sigma:.1f} sigma"
-    return f"{100.0 * rival.confidence:.0f} % probable, {fits}"
-
-
-def describe_error(verdict: Verdict, tables: list[ErrorTable]) -> str:
-    """The error before and after at one horizon, on held-out data."""
-    table = tables[0]
-    row = table.rows[SHOWN_HORIZON]
-    ahead = f"{table.quantity} error {row.horizon} ahead"
-    floor = f"; {table.noise_label} alone is {table.noise} {table.unit}" if table.noise else ""
-    where = "On held-out data" if len(verdict.logs) > 1 else ALONE
-    if not row.after:
-        return f"{where}, the {ahead} is {row.before} {table.unit}{floor}."
-    change = f" ({row.change}, 90 % interval)" if row.change else ""
-    errors = f"{row.before} to {row.after} {table.unit}"
-    return f"{where}, the {ahead} goes from {errors}{change}{floor}."
-
-
-def describe_unexplained(verdict: Verdict) -> str:
-    """What remains unexplained: what stands out, and how large the error still is where no headline has said it."""
-    left = verdict.unexplained
-    told = is_floor(verdict) or verdict.misfit is not None
-    if not left.significant and is_floor(verdict):
-        like = f"; the remainder acts like {describe_force(left)}" if left.force is not None else ""
-        return f"Nothing beyond noise and disturbances is unexplained{like}."
-    if not left.significant:
-        like = f" The remainder acts like {describe_force(left)}." if left.force is not None else ""
-        if told:
-            return f"No candidate explains the remaining error.{like}"
-        if left.force is not None and verdict.after.chi2 > FAR:
-            return f"The remainder acts like {describe_force(left)}, as disturbances usually do."
-        return f"The error is still {describe_miss(verdict)}; no candidate explains it.{like}"
-    miss = "" if told else f" The error is still {describe_miss(verdict)}."
-    follows = f"it follows {join_words(left.depends_on)}" if left.depends_on else ""
-    if left.force is not None:
-        more = f"; {follows}" if follows else ", more than disturbances usually do"
-        return f"Something is unexplained: it acts like {describe_force(left)}{more}.{miss}"
-    beyond = f", {left.sigma:.1f} sigma beyond chance" if left.sigma else ""
-    where = f", mostly in {left.channel}" if left.channel else ""
-    what = f"{100.0 * left.share:.0f} % of the missing force" if left.share > NOTHING else "Something"
-    return f"{what} is unexplained{beyond}{where}{f'; {follows}' if follows else ''}.{miss}"
+        share += f" ({low:.0f} to {high:.0f} %)"
+    return share.replace("-", "−")
 
 
 def describe_force(left: Unexplained) -> str:

@@ -35,6 +35,7 @@ def compose_twin(spec: TwinSpec, effects: EffectValues, verdict: Verdict, origin
     intervals = {
         f"{cause.effect}.{name}": [round_digits(end) for end in e.interval]
         for cause in verdict.causes
+        if cause.effect in effects
         for name, e in cause.parameters.items()
     }
     partial = describe_partial(verdict)

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.builders import CART, Unsearched, guess, lay_bench, load_known, load_rig
+from tests.builders import AFTER, BEFORE, CART, CAUSE, VERDICT, Unsearched, guess, lay_bench, load_known, load_rig
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.judgement.conclusion import HARMING, OUTWEIGHED, UNFELT, doubt_gain, list_passing, share_ahead
-from vpptwin.diagnosis.judgement.diagnose import Material, keep_better
+from vpptwin.diagnosis.judgement.diagnose import Diagnosis, Material, keep_better, suggest
 from vpptwin.diagnosis.judgement.errors import PredictionErrors
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.selection import Selection
-from vpptwin.diagnosis.judgement.verdict import Rival
+from vpptwin.diagnosis.judgement.verdict import Rival, Unseen
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import friction, joint
@@ -226,3 +226,17 @@ def test_a_horizon_without_measurements_leaves_no_share() -> None:
     before, after = Score([2.0, 4.0, nan], None, {}, 9.0), Score([1.0, 1.0, nan], None, {}, 1.0)
     assert share_ahead(before, after) == 0.25
     assert share_ahead(Score(None, None, {}, 9.0), after) == 1.0
+
+
+def test_weak_causes_stay_out_of_the_extended_twin() -> None:
+    """The verdict has errors without them, and with them as a suggestion; there is a gap if that is worth something."""
+    faint = replace(CAUSE, effect="rail_z.coulomb", confidence=0.0988, weak=True)
+    whole = Diagnosis(replace(VERDICT, causes=[CAUSE, faint]), {KEY: 0.3, OTHER: 0.1}, [], None)  # type: ignore[arg-type]
+    unseen = [Unseen("rail_z.coulomb", "too slow"), Unseen("air.drag", "too slow")]
+    for after, gap in ((BEFORE, True), (AFTER, False)):
+        lesser = replace(VERDICT, causes=[], after=after, unseen=unseen, gap=False)
+        found = suggest(whole, replace(whole, verdict=lesser, values={}))
+        assert (found.verdict.named, found.verdict.weak) == ([], [faint])
+        assert (found.verdict.after, found.verdict.suggested, found.verdict.gap) == (after, AFTER, gap)
+        assert (found.values, found.suggested) == ({}, whole.values)
+        assert [each.effect for each in found.verdict.unseen] == ["air.drag"]

@@ -79,6 +79,23 @@ def test_verdict_has_every_key(tmp_path: Path) -> None:
     assert cause["also_explained_by"] == [{"effect": "rail_x.viscous", "confidence": 0.1, "sigma": 2.4}]
 
 
+def test_what_few_verdicts_have_is_written_only_there(tmp_path: Path) -> None:
+    """Sizes of rivals, weak causes and errors with them; the repr has what is named."""
+    rival = Rival("rail_x.viscous", 0.1, 2.4, {"damping": replace(FORCE, unit="N s/m")}, "viscous friction", "damping")
+    weak = replace(CAUSE, effect="rail_z.coulomb", confidence=0.09, weak=True)
+    full = replace(VERDICT, causes=[replace(CAUSE, also_explained_by=[rival]), weak], suggested=AFTER)
+    content = write_and_read(full, tmp_path)
+    assert content["suggested"] == content["after"]
+    (first, second), told = content["causes"], {"value": 0.3081, "unit": "N s/m", "std": 0.0123, "nominal": 0.0}
+    assert first["also_explained_by"] == [
+        {"effect": "rail_x.viscous", "confidence": 0.1, "sigma": 2.4, "parameters": {"damping": told}}
+    ]
+    assert (second["weak"], "weak" in first) == (True, False)
+    assert repr(full) == (
+        "Verdict(rail_x.coulomb 90 %; 0.5 s ahead position_rmse_m 0.01 → 0.004, angle_rmse_rad 0.04 → 0.02)"
+    )
+
+
 def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:
     """NaN and infinity, however deep, are null; a rig without slides has null positions; the rest stays."""
     nan, inf = float("nan"), float("inf")

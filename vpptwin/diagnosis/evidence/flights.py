@@ -24,6 +24,8 @@ from vpptwin.twin.twin import Twin
 
 HORIZONS_S = (0.05, 0.1, 0.25, 0.5, 1.0)
 """How far ahead predictions are judged [s]."""
+SHOWN = 3
+"""Place of the horizon at which a twin matters, half a second: beyond noise, and near what a controller plans."""
 SEGMENT = 0.1
 """Length of a gust pulse [s]."""
 MANY_PULSES = 3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import zip_longest
 
 import mujoco
 import numpy as np
@@ -15,8 +16,8 @@ from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.leftover import share_left
 from vpptwin.diagnosis.judgement.power import judge_power
-from vpptwin.diagnosis.judgement.selection import Selection
-from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Misfit, Unexplained, Verdict
+from vpptwin.diagnosis.judgement.selection import Alternative, Selection
+from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Misfit, Rival, Unexplained, Verdict
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown
@@ -36,12 +37,12 @@ SOFT = (
     "equality {} of the MJCF is soft (solimp up to {:.4g}): if it is rigid, such as a gear or a linkage, "
     'solimp="0.9999 0.9999 0.001" solref="0.004 1" make it so'
 )
-UNCONFIRMED = "{}: held-out data alone do not show it, so it is only suggested"
-PASSING = "{}: a wave that does not repeat along the way may be any force that depends on place; only suggested"
-UNRIVALLED = "{}: not every rival was fitted in its place; only suggested"
-UNFELT = "{}: it removes less of the held-out error than sensor noise causes, so it is only suggested"
+UNCONFIRMED = "{}: held-out data alone do not show it, so it is at most 89 % probable"
+PASSING = "{}: a wave that does not repeat along the way may be any force that depends on place; at most 89 % probable"
+UNRIVALLED = "{}: not every rival was fitted in its place; at most 89 % probable"
+UNFELT = "{}: it removes less of the held-out error than sensor noise causes, so it is at most 89 % probable"
 HARMING = "{}: the held-out error is smaller without it, so its confidence is at most 50 %"
-OUTWEIGHED = "{}: more of the held-out error stays unexplained than it explains, so it is only suggested"
+OUTWEIGHED = "{}: more of the held-out error stays unexplained than it explains, so it is at most 89 % probable"
 
 
 def conclude(
@@ -169,11 +170,26 @@ def tell_cause(
     """A cause with its parameters, and its rivals, which are doubted as much as it is."""
     own = [u for u in search.unknowns if u.effect.id == effect]
     doubt = confidence / max(selection.confidence(effect), 1e-12)
-    rivals = [replace(rival, confidence=doubt * rival.confidence) for rival in selection.rivals[effect]]
+    rivals = [
+        replace(describe_rival(search, rival, there), confidence=doubt * rival.confidence)
+        for rival, there in zip_longest(selection.rivals[effect], selection.instead[effect])
+    ]
     found = {u.parameter.name: estimate(u, selection.fit) for u in own}
     kind, sure = selection.kinds.get(effect, ("", 0.0))
     sure = min(max(doubt * sure, confidence), search.criteria.most_confident) if kind else 0.0
-    return Cause(effect, confidence, found, gain, rivals, own[0].effect.summary, interval, 0, kind, sure)
+    weak = max(confidence, sure) < search.criteria.named
+    return Cause(effect, confidence, found, gain, rivals, own[0].effect.summary, interval, 0, kind, sure, weak)
+
+
+def describe_rival(search: Search, rival: Rival, there: Alternative | None) -> Rival:
+    """A rival with its parameters in the set of effects that has it; without them where none was fitted."""
+    own = [u for u in search.unknowns if u.effect.id == rival.effect]
+    found = {
+        u.parameter.name: Estimate(there.values[u.key], u.parameter.unit, there.std[u.key], float(u.nominal))
+        for u in own
+        if there is not None and u.key in there.std
+    }
+    return replace(rival, parameters=found, summary=own[0].effect.summary, kind=own[0].effect.kind) if own else rival
 
 
 def doubt_gain(held_out: HeldOut, without: Mapping[Key, float], values: Mapping[Key, float]) -> str:

@@ -63,6 +63,7 @@ class Diagnosis:
     Attributes:
         verdict: the verdict.
         values: parameters of the extended twin's new effects.
+        suggested: the same with those that are too weak for it, too; {} where there are none.
         ranking: effect → drop in cost when it was tried first of all, best first.
         held_out: the judging windows, with the twin as it was judged: what of it follows its log too.
         leftover_plot: the missing force that remains, against what it follows; None if nothing remains.
@@ -77,6 +78,7 @@ class Diagnosis:
     leftover_plot: WrenchPlot | None = None
     preflight: list[Preflight] = field(default_factory=list)
     measurements: list[Measurements] = field(default_factory=list)
+    suggested: dict[Key, float] = field(default_factory=dict)
 
 
 def diagnose(
@@ -128,6 +130,9 @@ def diagnose(
         if only:
             selection = replace(selection, unrivalled=selection.fit.effects)
         found = judge(spec, flights, material, selection, stage, deadline)
+        if weak := found.verdict.weak:
+            lesser = leave_out(material, selection, [cause.effect for cause in weak])
+            found = suggest(found, judge(spec, flights, material, lesser, stage, deadline))
         if causes is not None:
             return replace(found, verdict=replace(found.verdict, settled=sorted(spec.settled)))
         if (blows := material.blows) is None or not blows.causes:  # other causes may have hidden them
@@ -156,7 +161,8 @@ def add_blows(found: Diagnosis, blows: Findings) -> Diagnosis:
     if blows.causes:
         after, change = held_out.score(values), held_out.errors.change(blows.nominal, values)
         verdict = replace(verdict, before=held_out.score(blows.nominal), after=after, improvement=change)
-    return replace(found, verdict=blows.add_to(verdict), values=values)
+    suggested = found.suggested | blows.values if found.suggested else {}
+    return replace(found, verdict=blows.add_to(verdict), values=values, suggested=suggested)
 
 
 def return_memory() -> None:
@@ -182,6 +188,34 @@ def keep_better(material: Material, selection: Selection) -> Selection:
         left = fit.effects - {weakest}
         fit = search.follow(search.reframe(search.without(fit, weakest))) if left else search.start
     return selection if fit is selection.fit else selection.reduce_to(fit)
+
+
+def leave_out(material: Material, selection: Selection, weak: Sequence[str]) -> Selection:
+    """The selection without causes that are too weak for the extended twin, fitted anew."""
+    search, fit, inferred = material.search, selection.fit, material.inferred
+    if inferred is not None:
+        for effect in weak:
+            inferred = inferred.choose(inferred.without(inferred.chosen, effect))
+        divide(material.held_out, inferred)
+        fit = select_inferred(inferred, search).fit
+    else:
+        for effect in weak:
+            fit = search.without(fit, effect)
+        fit = search.follow(search.reframe(fit)) if fit.effects else search.start
+    lesser = replace(selection.reduce_to(fit), left_out=selection.left_out, reduced=selection.reduced)
+    return keep_better(material, lesser)
+
+
+def suggest(whole: Diagnosis, found: Diagnosis) -> Diagnosis:
+    """A diagnosis without weak causes, and the `whole` one with them, as one."""
+    verdict, weak = found.verdict, whole.verdict.weak
+    verdict = replace(verdict, causes=[*verdict.causes, *weak], suggested=whole.verdict.after)
+    ids = {cause.effect for cause in weak}
+    verdict = replace(
+        verdict, cleared=[c for c in verdict.cleared if c.effect not in ids],
+        unseen=[u for u in verdict.unseen if u.effect not in ids], gap=verdict.gap or verdict.suggests,
+    )  # fmt: skip
+    return replace(found, verdict=verdict, suggested=whole.values)
 
 
 @dataclass(frozen=True)
@@ -260,12 +294,17 @@ def infer(
     search = Search(build_bench(spec, calm, few, *given, make_twin=make_twin), unknowns)
     held_out = open_held_out(spec, calm, starts, progress, criteria, make_twin)
     while True:
-        held_out.divide(*((inferred.deal(each), inferred.fitted) for each in (held_out.short, held_out.errors.bench)))
+        divide(held_out, inferred)
         values = inferred.chosen.values
         slight = [e for e in sorted(inferred.chosen.effects) if not is_material(search, held_out, values, e)]
         if not slight:
             return inferred, calm, search, held_out
         inferred = inferred.drop_weakest(slight)
+
+
+def divide(held_out: HeldOut, inferred: Inferred) -> None:
+    """Judge every window by parameters that were inferred from others."""
+    held_out.divide(*((inferred.deal(each), inferred.fitted) for each in (held_out.short, held_out.errors.bench)))
 
 
 def is_followed(spec: TwinSpec) -> bool:

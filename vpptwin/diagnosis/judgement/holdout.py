@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.evidence.flights import SHOWN
 from vpptwin.diagnosis.evidence.runs import Key, Track, Variation, keep_last
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks
 from vpptwin.diagnosis.judgement.errors import PredictionErrors, mean_over
@@ -48,6 +49,12 @@ class Score:
     angle_rmse_rad: list[float] | None
     velocity_rmse: dict[str, list[float]]
     chi2: float
+
+    @property
+    def ahead(self) -> dict[str, float]:
+        """Errors of the pose `SHOWN` ahead, by their keys."""
+        poses = {"position_rmse_m": self.position_rmse_m, "angle_rmse_rad": self.angle_rmse_rad}
+        return {name: errors[SHOWN] for name, errors in poses.items() if errors is not None}
 
     def as_dict(self) -> dict[str, object]:
         """The score as `before` and `after` of verdict.json have it (docs/diagnose.md)."""

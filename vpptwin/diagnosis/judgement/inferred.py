@@ -188,7 +188,7 @@ def select_inferred(inferred: Inferred, search: Search) -> Selection:
     empty = comparison.fits[frozenset()]
     first = {next(iter(s)): 2.0 * (f.evidence - empty.evidence) for s, f in comparison.fits.items() if len(s) == 1}
     rivals = {effect: list_rivals(comparison, chosen, effect) for effect in chosen.effects}
-    instead = {effect: [Alternative(f.effects, f.values) for _, f in row] for effect, row in rivals.items()}
+    instead = {effect: [Alternative(f.effects, f.values, f.std) for _, f in row] for effect, row in rivals.items()}
     evidence = {e: 2.0 * (chosen.evidence - comparison.fits[chosen.effects - {e}].evidence) for e in chosen.effects}
     probability = {e: comparison.inclusion(frozenset({e})) for e in chosen.effects}
     kinds = {effect: judge_kind(search, comparison, effect) for effect in chosen.effects}

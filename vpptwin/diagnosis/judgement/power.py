@@ -76,7 +76,8 @@ def weigh_limit(search: Search, fit: Fit, limit: Unknown) -> Cleared | Unseen:
 def describe_blindness(effect: Effect, parameter: Parameter, sigma: float, search: Search) -> str:
     """Why an effect could not have been seen."""
     size = f"{parameter.size:.2g} {parameter.unit}".strip()
-    text = f"{parameter.name} of {size} would show by only {sigma:.1f} sigma"
+    shown = f"only {sigma:.1f}" if sigma >= 0.1 else "less than 0.1"
+    text = f"{parameter.name} of {size} would show by {shown} sigma"
     if effect.fades_along:
         place = search.bench.spec.model.joint(effect.fades_along).qposadr[0]
         text += f": never below {float(search.bench.windows.pose[:, place].min()):.2f} m"

@@ -36,10 +36,11 @@ Stage = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Alternative:
-    """Effects with their parameters that may be there instead."""
+    """Effects with their parameters that may be there instead, and standard deviations of these."""
 
     effects: frozenset[str]
     values: Mapping[Key, float]
+    std: Mapping[Key, float]
 
 
 @dataclass(frozen=True)
@@ -296,7 +297,14 @@ class Choosing:
         """The causes with their rivals."""
         rivals = {e: weigh_rivals(row, self.search.criteria, rough[e]) for e, row in evidence.items()}
         fits = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
-        instead = {e: [Alternative(f.effects, f.values) for f in row] for e, row in fits.items()}
+        unknowns = self.search.unknowns
+        instead = {
+            e: [
+                Alternative(f.effects, f.values, {u.key: f.stated_std(u) for u in unknowns if u.key in f.std})
+                for f in row
+            ]
+            for e, row in fits.items()
+        }
         before = {effect: step.before for effect, step in replaced.items()}
         unconfirmed = {e for e, fit in before.items() if not confirms(self.search, self.held_out, fit, self.fit)}
         left_out = self.left_out - self.fit.effects

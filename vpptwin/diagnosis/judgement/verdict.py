@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
-from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S, SHOWN
 from vpptwin.diagnosis.judgement.holdout import Score
 from vpptwin.effects import SIGMAS_90
+
+MOST = 0.5
+"""Share of an error up to which most of it is gone."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +30,17 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect that this data cannot tell from the named one: how probable it is instead, and how many sigma apart."""
+    """An effect that this data cannot tell from the named one: how probable it is instead, and how many sigma apart.
+
+    Its `parameters` are those of the fit with it in the place of the cause; none where nobody fitted it.
+    """
 
     effect: str
     confidence: float
     sigma: float = 0.0
+    parameters: dict[str, Estimate] = field(default_factory=dict)
+    summary: str = ""
+    kind: str = ""
 
 
 @dataclass(frozen=True)
@@ -38,7 +48,8 @@ class Cause:
     """A named effect; `gain` is the share of the held-out excess chi2 that it removes, with its 90 % interval.
 
     Of a contact's, which so many `blows` show, each held out in its turn, of the error there. `kind_confidence` is the
-    probability that anything of its `kind` acts there, such as dry friction of some law.
+    probability that anything of its `kind` acts there, such as dry friction of some law. Of a `weak` one both are below
+    `Criteria.named`: it stays out of the extended twin.
     """
 
     effect: str
@@ -51,6 +62,7 @@ class Cause:
     blows: int = 0
     kind: str = ""
     kind_confidence: float = 0.0
+    weak: bool = False
 
 
 @dataclass(frozen=True)
@@ -141,7 +153,7 @@ class Cut:
     not_done: list[str]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Verdict:
     """What the twin gets wrong; of a diagnosis that was stopped so far, or of `only` some candidates."""
 
@@ -164,6 +176,29 @@ class Verdict:
     stopped: Cut | None = None
     only: list[str] = field(default_factory=list)
     settled: list[str] = field(default_factory=list)  # effects that were no candidates, as the user said
+    suggested: Score | None = None  # errors with the weak causes too, where there are any
+
+    def __repr__(self) -> str:
+        """What is named, and errors `SHOWN` ahead."""
+        named = ", ".join(f"{cause.effect} {100.0 * cause.confidence:.3g} %" for cause in self.named)
+        errors = [f"{name} {error:.3g} → {self.after.ahead[name]:.3g}" for name, error in self.before.ahead.items()]
+        return f"Verdict({named or 'nothing named'}; {HORIZONS_S[SHOWN]:g} s ahead {', '.join(errors)})"
+
+    @property
+    def named(self) -> list[Cause]:
+        """The causes that the extended twin has."""
+        return [cause for cause in self.causes if not cause.weak]
+
+    @property
+    def weak(self) -> list[Cause]:
+        """The others."""
+        return [cause for cause in self.causes if cause.weak]
+
+    @property
+    def suggests(self) -> bool:
+        """Whether the weak causes take most of an error of the pose `SHOWN` ahead away, however unsure their names."""
+        pairs = () if self.suggested is None else zip(self.after.ahead.values(), self.suggested.ahead.values())
+        return any(less < MOST * error for error, less in pairs)
 
     @property
     def partial(self) -> bool:
@@ -172,11 +207,9 @@ class Verdict:
 
     def as_dict(self) -> dict[str, object]:
         """The verdict under the keys of verdict.json (docs/diagnose.md)."""
-        # `blows` only where there are some: what reads verdicts elsewhere may know no such key.
-        sparse = ("blows", "kind", "kind_confidence")
-        causes = [
-            {k: v for k, v in asdict(c).items() if k != "summary" and (k not in sparse or v)} for c in self.causes
-        ]
+        causes = [trim(asdict(cause)) for cause in self.causes]
+        for cause in causes:
+            cause["also_explained_by"] = [trim({**rival, "kind": ""}) for rival in cause["also_explained_by"]]
         content: dict[str, object] = {
             "logs": self.logs, "twin": self.twin,
             "samples": {"windows": self.windows, "held_out_windows": self.held_out_windows},
@@ -191,4 +224,11 @@ class Verdict:
             "stopped": asdict(self.stopped) if self.stopped is not None else None, "only": self.only or None,
         }  # fmt: skip
         content |= {"settled": self.settled} if self.settled else {}
+        content |= {"suggested": self.suggested.as_dict()} if self.suggested is not None else {}
         return content
+
+
+def trim(told: dict[str, Any]) -> dict[str, Any]:
+    """A cause or a rival without words, and without keys that say nothing: what reads verdicts may not know them."""
+    sparse = ("blows", "kind", "kind_confidence", "weak", "parameters")
+    return {name: value for name, value in told.items() if name != "summary" and (value or name not in sparse)}

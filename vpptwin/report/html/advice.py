@@ -64,11 +64,11 @@ def list_steps(
         experiment: the flight that would decide, in words; None if there is none.
         meanings: effect id → summary of the catalogue.
     """
-    twin = session.extended if verdict.causes else session.spec.name
+    twin = session.extended if verdict.named else session.spec.name
     steps = [NextStep("Save the results, in Python.", f'result.save("{UNSAVED}")')] if session.out is None else []
     if verdict.stopped is not None:
         steps.append(NextStep(f"Diagnose again with more time, or make it shorter: {SHORTER}."))
-    if verdict.causes:
+    if verdict.named:
         told = "Compare both twins, best on a log that was not diagnosed."
         steps.append(
             NextStep(
@@ -77,12 +77,12 @@ def list_steps(
         )
         words = ["vpptwin", "export", session.extended, "--format", "mjcf"]
         steps.append(NextStep("Use the extended twin elsewhere: write it as MJCF.", shlex.join(words)))
-    beside = "extended twin" if verdict.causes else "twin"
+    beside = "extended twin" if verdict.named else "twin"
     steps.append(NextStep(f"View the {beside} beside a log.", session.type("play", session.logs[0], "--twin", twin)))
     if is_unexplained(verdict):
         steps.append(suggest_own_effect(verdict, session))
     else:
-        steps += suggest_training(session.spec.robot, twin, bool(verdict.causes))
+        steps += suggest_training(session.spec.robot, twin, bool(verdict.named))
     if experiment is not None and verdict.experiment is not None:
         steps.append(NextStep(f"Fly next: {experiment} See it in the twin first.", verdict.experiment.command))
     else:
@@ -97,7 +97,7 @@ def is_unexplained(verdict: Verdict) -> bool:
 
 def advise_flight(verdict: Verdict, meanings: Mapping[str, str]) -> str:
     """Which motion would tell more, where the library has no manoeuvre that decides."""
-    rivals = [(cause, rival) for cause in verdict.causes for rival in cause.also_explained_by]
+    rivals = [(cause, rival) for cause in verdict.named for rival in cause.also_explained_by]
     if rivals:
         cause, rival = max(rivals, key=lambda pair: pair[1].confidence)
         apart = f"{name_effect(cause.effect, meanings)} from {name_effect(rival.effect, meanings)}"

@@ -13,7 +13,7 @@ from vpptwin.report.html.advice import NextStep
 from vpptwin.report.html.pictures import Pictures
 from vpptwin.report.html.ranking import Suspect
 from vpptwin.report.provenance import Provenance
-from vpptwin.report.summary import HORIZON, Summary
+from vpptwin.report.summary import HORIZON, SHARE, Summary, describe_share, format_probability
 from vpptwin.report.words import format_digits, format_plain, format_value, name_effect, name_effects
 
 FIRST_SUSPECTS = 10
@@ -44,7 +44,8 @@ def render_report(
         pictures=pictures, name=partial(name_effect, meanings=meanings),
         preflight=preflight, origin=origin, format_value=format_value, format_plain=format_plain,
         format_digits=format_digits,
-        horizon=HORIZON,
+        horizon=HORIZON, shares=SHARE, share=partial(describe_share, chi2=verdict.before.chi2),
+        probability=format_probability,
     )  # fmt: skip
 
 
@@ -56,4 +57,5 @@ def open_templates(package: str) -> Environment:
 
 def tie_units(text: str) -> str:
     """The text with its numbers tied to their deviations and units, so that no line breaks between them."""
-    return re.sub(r"(?<=\d) (?=%|± |\S*[A-Za-z]\b)|(?<=±) ", "\N{NO-BREAK SPACE}", text)
+    parts = r"(?<=\d) (?=%|± |\S*[A-Za-z]\b)|(?<=±) |(?<=\bN) (?=[ms]\W|s²|m²)|(?<=\bN m) (?=s\W)|(?<=\d) (?=N )"
+    return re.sub(parts, "\N{NO-BREAK SPACE}", text)

@@ -50,7 +50,7 @@ def draw_pictures(
     """Draw everything that can be; of several flights one is shown that no fit has seen."""
     verdict, bench, draw = diagnosis.verdict, diagnosis.held_out.short, pieces.attempt
     shown, plot = predictions[int(bench.windows.flight[-1])], diagnosis.leftover_plot
-    accused = [find_effect(bench.spec.catalogue, cause.effect) for cause in verdict.causes]
+    accused = [find_effect(bench.spec.catalogue, cause.effect) for cause in verdict.named]
     lit = f", lit: {join_words([effect.summary for effect in accused])}" if accused else ""
     errors, flight, none = list_errors(verdict), list[PredictedSeries](), list[str]()
     if shown is not None:
@@ -65,7 +65,7 @@ def draw_pictures(
         sketch=draw("the sketch of the rig", lambda: sketch_rig(bench.spec.robot, accused, f"The rig{lit}"), ""),
         forces={
             cause.effect: draw(f"the force of {cause.effect}", partial(draw_force, diagnosis, cause.effect), none)
-            for cause in verdict.causes
+            for cause in verdict.named
         },
         errors={
             name: draw(f"the picture of {name} errors", partial(draw_error, verdict, noise, *found, name in same), none)
@@ -81,7 +81,7 @@ def draw_pictures(
 
 def list_errors(verdict: Verdict) -> dict[str, tuple[str, Sequence[float], Sequence[float] | None]]:
     """What an error is of → its key in a score, before, and after; of slides and hinges, where the rig has them."""
-    after = verdict.after if verdict.causes else None
+    after = verdict.after if verdict.named else None
     return {
         name: (key, before, getattr(after, key, None))
         for name, key in (("position", POSITION), ("angle", ANGLE))

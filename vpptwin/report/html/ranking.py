@@ -21,7 +21,7 @@ class Suspect:
     meaning: str  # the same in words
     drop: float  # drop in misfit that it brings alone
     share: float  # of the strongest suspect's
-    fate: str  # `named`, `rival`, `cleared`, `unseen` or nothing
+    fate: str  # `named`, `weak`, `rival`, `cleared`, `unseen` or nothing
     told: str  # the fate in words
 
 
@@ -29,10 +29,12 @@ def rank_suspects(ranking: Sequence[tuple[str, float]], verdict: Verdict, meanin
     """Suspects, strongest first, those that nobody tried last; meanings: effect id → summary of the catalogue."""
     fates = {s.effect: ("unseen", f"not identifiable: {s.reason}") for s in verdict.unseen}
     fates |= {suspect.effect: ("cleared", describe_cleared(suspect)) for suspect in verdict.cleared}
-    for cause in verdict.causes:
+    for cause in verdict.named:
         fates |= {rival.effect: ("rival", "rival of a named cause") for rival in cause.also_explained_by}
-    fates |= {cause.effect: ("named", "named") for cause in verdict.causes}
+    fates |= {cause.effect: ("named", "named") for cause in verdict.named}
+    fates |= {cause.effect: ("weak", f"{100.0 * cause.confidence:.0f} % probable") for cause in verdict.weak}
     drops = dict.fromkeys(fates, 0.0) | {effect: max(drop, 0.0) for effect, drop in ranking}
+    drops |= {suspect.effect: 0.0 for suspect in verdict.unseen}  # what stands out there are the others
     most = max(drops.values(), default=0.0)
     return [
         Suspect(
@@ -50,5 +52,5 @@ def describe_cleared(suspect: Cleared) -> str:
     if low > 0.0 and high > OPEN * low:
         return f"ruled out: {parameter}above {low:.2g} {unit}".rstrip()
     digits = 1 - math.floor(math.log10(high - low)) if high > low else 3
-    bounds = f"between {round(low, digits):g} and {round(high, digits):g}"
+    bounds = f"between {round(low, digits) + 0.0:g} and {round(high, digits) + 0.0:g}"  # no negative zero
     return f"ruled out: {parameter}{bounds} {unit}".rstrip()
