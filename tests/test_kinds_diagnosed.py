@@ -16,10 +16,7 @@ from vpptwin.cli.main import main
 from vpptwin.report.result import Result
 
 CASES = SHARED / "cases"
-DRAWN = [
-    ("step", 7),
-    *(pytest.param(*each, marks=pytest.mark.slow) for each in (("two_steps", 8), ("decay", 9), ("relay", 7))),
-]
+DRAWN = [("step", 7), ("two_steps", 8), ("decay", 9), ("relay", 7)]
 """Kinds with seeds for development, of which some have no twin YAML: then the next that has one."""
 
 
@@ -30,6 +27,7 @@ def diagnose_kind(kind: str, seed: int, folder: Path) -> tuple[Result, dict[str,
     return result, case.truth, frozenset(case.right | case.also)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "seed"), DRAWN)
 def test_what_is_missing_is_named_first_and_sized(kind: str, seed: int, tmp_path: Path) -> None:
     """With at least 0.7, nothing else as sure, and most of the error half a second ahead goes."""

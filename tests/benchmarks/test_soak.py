@@ -62,7 +62,10 @@ def test_kills_wait_until_signals_are_heeded(tmp_path: Path) -> None:
     assert child.returncode == 7
 
 
-@pytest.mark.parametrize(("name", "kills"), [("layouts", 30), pytest.param("compare", 4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("name", "kills"),
+    [("layouts", 10), *(pytest.param(*each, marks=pytest.mark.slow) for each in (("layouts", 30), ("compare", 4)))],
+)
 def test_what_is_killed_full_or_shared_stays_whole(tmp_path: Path, name: str, kills: int) -> None:
     """Kills, two processes in one place, disks that are full: the benchmark has the other commands."""
     rng = np.random.default_rng(int(os.environ["VPPTWIN_SEED"]))

@@ -37,7 +37,8 @@ def assert_same(first: Track, second: Track) -> None:
     for a, b in zip(first.states, second.states, strict=True):
         others = b.arrays()
         for name, values in a.arrays().items():
-            np.testing.assert_array_equal(values, others[name], err_msg=name)
+            if not np.array_equal(values, others[name], equal_nan=values.dtype.kind == "f"):  # which is quick
+                np.testing.assert_array_equal(values, others[name], err_msg=name)
 
 
 def save(state: TwinState) -> bytes:

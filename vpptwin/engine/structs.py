@@ -102,7 +102,13 @@ def check_layout() -> None:
 def field_offset(struct: str, path: str) -> int:
     """Offset of a field in a struct [bytes]; `opt.timestep` for one within."""
     check_layout()
-    mirror, offset = mirror_struct(struct), 0
+    return find_offset(mirror_struct(struct), path)
+
+
+@cache
+def find_offset(mirror: type[ctypes.Structure], path: str) -> int:
+    """The same in the mirror of a struct, which a thousand lookups share."""
+    offset = 0
     for name in path.split("."):
         offset += getattr(mirror, name).offset
         mirror = {field[0]: field[1] for field in mirror._fields_}[name]  # type: ignore[assignment]
