@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import mujoco
@@ -90,6 +91,68 @@ def test_what_it_holds_in_its_own_way(tmp_path: Path, effects: str, late: float)
     _, numbers = compare(write_twin(tmp_path, effects), tmp_path / "out.xml")
     assert (numbers[:, 2] < late * np.array([1.0, 5.0])).all()  # the pole, 0.25 m to its middle, swings along
     assert (numbers[:, 2] < 0.1 * numbers[:, 3]).all()
+
+
+OWN = """<?xml version="1.0"?>
+<!-- Ours, since 2019. -->
+<mujoco   model='cart'>
+  <compiler angle="degree"/>
+  <default><default class="drive"><motor gear="20"/></default></default>
+  <worldbody>
+    <body name="cart">   <!-- on a rail -->
+      <joint name="slide" type="slide"
+             axis="1 0 0" damping='0.2'/>
+      <geom type="box" size="0.1 0.05 0.05" mass="2"/>
+      <body name="pole">
+        <inertial pos="0 0 -0.25" mass="0.2" fullinertia="0.005 0.005 0.001 0 0 0"></inertial>
+        <joint name="swing" type="hinge" axis="0 -1 0" stiffness="0.1" springref="20"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.01"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor class="drive" name="motor" joint="slide"/> <motor name="servo" joint="swing" forcerange="-4 4"/>
+  </actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+    ("effects", "old", "new"),
+    [
+        ("slide.viscous: {damping: 0.3}", "damping='0.2'/>", 'damping="0.5"/>'),
+        ("swing.spring: {stiffness: 0.1, rest: 0.0}", 'stiffness="0.1" springref="20"',
+         'stiffness="0.2" springref="10.0"'),
+        ("motor.gain: {gain: 0.9}", 'name="motor" joint="slide"/>', 'name="motor" joint="slide" gear="18.0"/>'),
+        ("motor.delay: {delay: 0.006}", 'joint="slide"/> ',
+         'joint="slide" delay="0.006" nsample="5" interp="linear"/> '),
+        ("servo.gain: {gain: 0.5}", '<motor name="servo" joint="swing" forcerange="-4 4"/>',
+         '<general name="servo" joint="swing" forcerange="-4 4" gainprm="0.5 0.0 0.0"/>'),
+        ("pole.mass: {mass: 0.2}",
+         '<inertial pos="0 0 -0.25" mass="0.2" fullinertia="0.005 0.005 0.001 0 0 0"></inertial>',
+         '<inertial pos="0.0 0.0 -0.25" quat="1.0 0.0 0.0 0.0" mass="0.4" diaginertia="0.01 0.01 0.002"></inertial>'),
+    ],
+)  # fmt: skip
+def test_the_users_text_stays_as_it_is(tmp_path: Path, effects: str, old: str, new: str) -> None:
+    """But for comments and what changes; a `<motor>` stays one unless no motor has that attribute."""
+    twin = write_twin(tmp_path, effects)
+    (tmp_path / "cart.xml").write_text(OWN)
+    text, _ = compare(twin, tmp_path / "out.xml")
+    text = re.sub(r"\s*<!-- Written by .*? -->", "", text)
+    assert re.sub(rf"<!-- {effects.split(':')[0]}: .*? -->\s*", "", text) == OWN.replace(old, new)
+
+
+def test_a_text_in_pieces_is_flattened(tmp_path: Path) -> None:
+    """Elements of an included file are in none of ours."""
+    twin = write_twin(tmp_path, "slide.viscous: {damping: 0.3}")
+    (tmp_path / "part.xml").write_text(
+        f"<mujoco>{OWN[OWN.index('<worldbody>') : OWN.index('</worldbody>')]}</worldbody></mujoco>"
+    )
+    (tmp_path / "cart.xml").write_text('<mujoco><include file="part.xml"/><actuator><motor name="motor" joint="slide"/>'
+                                       '<motor name="servo" joint="swing"/></actuator></mujoco>')  # fmt: skip
+    text, numbers = compare(twin, tmp_path / "out.xml")
+    assert "<include" not in text
+    assert (numbers[:, 2] < ROUNDED * np.maximum(numbers[:, 0], 1.0)).all()
 
 
 @pytest.mark.parametrize(

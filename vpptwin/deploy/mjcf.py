@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from xml.parsers.expat import ExpatError
 
 import mujoco
 import numpy as np
 
 from vpptwin.deploy.hold import AFFINE, Held
+from vpptwin.deploy.own_text import write_numbers, write_own, write_values
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import installed
 from vpptwin.system.errors import InputError
@@ -26,6 +28,8 @@ SPEED = 0.3
 """At which their joints start [m/s, rad/s]."""
 SHARE = 0.3
 """Of what a command may be, or of what typically moves a joint that it acts on, or of a radian."""
+ALIKE = 1e-4
+"""Difference in a second that six digits of numbers may make, as a share of the motion."""
 TINY = 1e-9
 """Stands for an actuator that moves nothing."""
 
@@ -41,7 +45,9 @@ def describe(effect: Effect, spec: TwinSpec) -> str:
 
 
 def write_mjcf(spec: TwinSpec, held: Held, folder: Path) -> str:
-    """The twin's MJCF with what MuJoCo can hold.
+    """The twin's MJCF with what MuJoCo can hold: the user's own text with few lines changed where that can be.
+
+    Where it cannot, as with includes, URDF, or the drone's numbers, it is the model as MuJoCo flattens it.
 
     Args:
         spec: the twin.
@@ -51,6 +57,69 @@ def write_mjcf(spec: TwinSpec, held: Held, folder: Path) -> str:
     Raises:
         InputError: if the MJCF's text cannot be made or holds no such element, as of a replicated body.
     """
+    with TemporaryDirectory() as name:
+        tried = Path(name)
+        own, flat = change_own(spec, held, tried), write_flat(spec, held, tried)
+        if own is not None and move_alike(spec, own, flat, tried):
+            return change_own(spec, held, folder) or flat
+    return write_flat(spec, held, folder)
+
+
+def change_own(spec: TwinSpec, held: Held, folder: Path) -> str | None:
+    """The user's own text with what is held, or None where it cannot be changed in place."""
+    if spec.robot.rotorcraft is not None or spec.model_file.suffix.lower() != ".xml":
+        return None
+    flat, comments = flatten(spec, held, folder), list_comments(spec, held)
+    try:
+        return write_own(spec.model_file, spec.model, held, flat, comments, list_heads(spec, held), folder)
+    except (UnicodeDecodeError, ExpatError):
+        return None
+
+
+def move_alike(spec: TwinSpec, own: str, flat: str, folder: Path) -> bool:
+    """Whether two texts of an MJCF, in a folder, move alike under random commands."""
+    commands, velocity = excite(spec)
+    ways: list[np.ndarray] = []
+    for text in (own, flat):
+        file = folder / f"{len(ways)}.xml"
+        file.write_text(text, encoding="utf-8")
+        try:
+            with installed(None):
+                model = mujoco.MjModel.from_xml_path(str(file))
+        except ValueError:
+            return False
+        if (model.nq, model.nu) != (spec.model.nq, spec.model.nu):
+            return False
+        ways.append(simulate_plain(spec, model, commands, velocity))
+    missed = np.abs(difference_poses(spec.model, *ways)).max()
+    return bool(missed < ALIKE * max(1.0, np.ptp(ways[1], axis=0).max(initial=0.0)))
+
+
+def list_comments(spec: TwinSpec, held: Held) -> dict[tuple[str, str], list[str]]:
+    """What is told of each element that changes, by its kind and name."""
+    return {
+        place: [without_dashes(describe(effect, spec)) for effect in effects]
+        for place, effects in held.list_elements().items()
+    }
+
+
+def list_heads(spec: TwinSpec, held: Held) -> list[str]:
+    """What is told at the top: by what it was written, and what is not held."""
+    lost = [f"Not held: {describe(effect, spec)} - {why}" for effect, why in held.lost]
+    return [without_dashes(line) for line in (f"Written by vpptwin export from {spec.name}.", *lost)]
+
+
+def write_flat(spec: TwinSpec, held: Held, folder: Path) -> str:
+    """The MJCF as MuJoCo flattens it, with what is held."""
+    root = flatten(spec, held, folder)
+    for line in reversed(list_heads(spec, held)):
+        root.insert(0, ET.Comment(f" {line} "))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def flatten(spec: TwinSpec, held: Held, folder: Path) -> ET.Element:
+    """The MJCF's elements once flattened, with what is held, and a comment at each change."""
     given = mujoco.MjSpec.from_file(str(spec.model_file))
     spec.robot.adapt(given, spec.model_file)
     if given.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
@@ -61,21 +130,16 @@ def write_mjcf(spec: TwinSpec, held: Held, folder: Path) -> str:
     if compiler is not None and root.find(".//asset") is not None:  # where they lie as seen from the folder
         for attribute, own in (("meshdir", given.compiler.meshdir), ("texturedir", given.compiler.texturedir)):
             compiler.set(attribute, os.path.relpath((spec.model_file.parent / own).resolve(), folder.resolve()))
-    for (element, name), effects in held.list_elements().items():
+    for (element, name), lines in list_comments(spec, held).items():
         node = find_element(root, element, name, spec.model)
         if node is None:
             raise InputError(f"{spec.model_file}: no {element} {name} once flattened", "one", "name it in the MJCF")
         wanted = {a: values for (kind, who, a), values in held.values.items() if (kind, who) == (element, name)}
-        set_attributes(node, wanted)
+        node.attrib.update(write_values(wanted))
         parent = next(around for around in root.iter() if node in list(around))
-        for effect in effects:
-            parent.insert(list(parent).index(node), ET.Comment(f" {without_dashes(describe(effect, spec))} "))
-    head = [f"Written by vpptwin export from {spec.name}."]
-    head += [f"Not held: {describe(effect, spec)} - {why}" for effect, why in held.lost]
-    for line in reversed(head):
-        root.insert(0, ET.Comment(f" {without_dashes(line)} "))
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode") + "\n"
+        for line in lines:
+            parent.insert(list(parent).index(node), ET.Comment(f" {line} "))
+    return root
 
 
 def without_dashes(text: str) -> str:
@@ -107,28 +171,6 @@ def find_element(root: ET.Element, element: str, name: str, model: mujoco.MjMode
     if compiler is not None:
         compiler.set("inertiafromgeom", "auto")
     return inertial
-
-
-def set_attributes(node: ET.Element, values: Mapping[str, tuple[float, ...]]) -> None:
-    """Write numbers into an element, with what has to go with them."""
-    for attribute, numbers in values.items():
-        if attribute == "biastype":
-            node.set(attribute, "affine" if numbers[0] == AFFINE else "none")
-        elif attribute == "nsample":
-            node.set(attribute, str(int(numbers[0])))
-            node.set("interp", "linear")
-        else:
-            node.set(attribute, write_numbers(numbers))
-        if attribute == "ctrlrange":
-            node.set("ctrllimited", "true")
-        if attribute == "dynprm":
-            node.set("dyntype", "filterexact")
-            node.set("actearly", "true")
-
-
-def write_numbers(numbers: tuple[float, ...]) -> str:
-    """Numbers as MJCF has them, to the last bit."""
-    return " ".join(repr(float(number)) for number in numbers)
 
 
 def describe_rollouts(spec: TwinSpec, held: Held, path: Path) -> list[str]:
