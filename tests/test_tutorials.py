@@ -19,7 +19,7 @@ PROMISED = {
     "arm": ["wrote arm.yaml", "A payload of 63 ± 2 g on forearm", "whole-log chi² 292 of arm.yaml, 1.18 of"],
     "so101": ["Viscous friction of 0.60 ± 0.08 N m s/rad on joint Rotation", "ahead from 20.5 to 9.44 mrad",
         "│ 7.93 → 5.79", "│ 23.6 → 10.6", "│ 18.3 → 9.65", "motion.html"],
-    "leg": ["Dry friction of 0.100 ± 0.005 N m on joint knee", "whole-log chi² 342,000 of leg.yaml, 49.2 of"],
+    "leg": ["Dry friction of 99 ± 5 mN m on joint knee", "whole-log chi² 351,000 of leg.yaml, 36.4 of"],
     "retrain": ["ms from command to servo", "20 flights of flip"],
     "write_effect": ["no known effect explains", "It follows rail_x position",
         "A belt that cogs on the horizontal rail"],
