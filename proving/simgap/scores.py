@@ -26,9 +26,9 @@ def complete_answer(said: Mapping[str, float], causes: Sequence[str]) -> dict[st
     if strange := sorted(set(said) - set(answers)):
         raise ValueError(f"probabilities of {', '.join(strange)}: write ids of known.json, {NOTHING} or {UNKNOWN}")
     total = float(sum(said.values()))
-    if not all(0.0 <= p <= 1.0 for p in said.values()) or abs(total - 1.0) > 1e-6:
+    if not all(0.0 <= p <= 1.0 for p in said.values()) or abs(total - 1.0) > 1e-3:
         raise ValueError(f"probabilities that sum to {total:g}: write numbers from 0 to 1 that sum to 1")
-    return {name: (1.0 - MIXED) * said.get(name, 0.0) + MIXED / len(answers) for name in answers}
+    return {name: (1.0 - MIXED) * said.get(name, 0.0) / total + MIXED / len(answers) for name in answers}
 
 
 def group_answer(answer: Mapping[str, float], groups: Mapping[str, str]) -> dict[str, float]:

@@ -222,7 +222,7 @@ def suggest(whole: Diagnosis, found: Diagnosis) -> Diagnosis:
 class Material:
     """What a diagnosis works on: measurements, windows that are fitted, held-out windows, and impacts."""
 
-    read: list[Measurements]  # as the logs have them
+    read: list[Measurements]  # as the logs have them, with the noise that was inferred where it was
     measurements: list[Measurements]  # with blows marked
     search: Search
     held_out: HeldOut
@@ -252,6 +252,7 @@ def prepare(
         inferred, measurements, search, held_out = infer(
             spec, measurements, unknowns, stage, progress, criteria, make_twin, deadline, announce
         )
+        read = rescale(read, search.bench, inferred.scales)
         return Material(read, measurements, search, held_out, blows, inferred)
     judges: set[int] = set()
     if len(flights) > 1:
