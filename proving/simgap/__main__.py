@@ -26,6 +26,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     draw.add_argument("--worlds", default=",".join(WORLDS), help="default: %(default)s")
     draw.add_argument("--numbers", default="0:12", help="of sessions of each world, default: %(default)s")
+    measured = commands.add_parser("measured", help="write the sessions with measured data, which are scored apart")
+    measured.add_argument("folder", type=Path)
+    measured.add_argument("--data", type=Path, help="where their files lie; by default they are fetched")
     check = commands.add_parser("check", help="check a set against its manifest, or one that was published")
     check.add_argument("folder", type=Path)
     check.add_argument("--published", type=Path, help="the manifest that was published")
@@ -69,6 +72,14 @@ def run_draw(given: argparse.Namespace) -> int:
     manifest = read_manifest(given.folder)
     secret = f"; the seed is {seed}: keep it, it is written nowhere" if given.secret else ""
     print(f"{len(manifest['sessions'])} sessions in {given.folder}, hash {hash_set(manifest)}{secret}")
+    return 0
+
+
+def run_measured(given: argparse.Namespace) -> int:
+    """Write the sessions with measured data."""
+    from proving.simgap.measured import write_measured
+
+    print(f"{', '.join(write_measured(given.folder, given.data))} in {given.folder}")
     return 0
 
 
@@ -139,8 +150,8 @@ def run_board(given: argparse.Namespace) -> int:
 
 
 COMMANDS = {
-    "draw": run_draw, "check": run_check, "validate": run_validate, "answer": run_answer, "run": run_all,
-    "tune": run_tune, "board": run_board,
+    "draw": run_draw, "measured": run_measured, "check": run_check, "validate": run_validate, "answer": run_answer,
+    "run": run_all, "tune": run_tune, "board": run_board,
 }  # fmt: skip
 
 

@@ -204,7 +204,8 @@ def format_table(
 def format_board(content: Mapping[str, Any]) -> str:
     """The page."""
     titles = {name: told["title"] for name, told in content["entrants"].items()}
-    seed = f"seed {content['seed']} (public)" if content["seed"] is not None else "a secret seed"
+    secret = "a secret seed" if content["seed_sha256"] else "measured data"
+    seed = f"seed {content['seed']} (public)" if content["seed"] is not None else secret
     lines = [
         "# SimGap board", "",
         f"{content['sessions']} sessions of {seed}, set {content['set_sha256'][:12]}, commit {content['commit']}, "

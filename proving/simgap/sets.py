@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from proving.simgap.session import VERSION, dump, read_truth, write_session
+from proving.simgap.session import VERSION, Truth, dump, read_truth, write_session
 from proving.simgap.worlds import draw_session
 
 
@@ -43,6 +43,15 @@ def draw_set(folder: Path, seed: int, chosen: Mapping[str, Sequence[int]], publi
     path = folder / "manifest.json"
     path.write_text(json.dumps(manifest, indent=1) + "\n")
     return path
+
+
+def add_to_manifest(folder: Path, home: Path, truth: Truth) -> None:
+    """Add a session that was not drawn to a set, which is made where there is none."""
+    path = folder / "manifest.json"
+    empty = {"simgap": VERSION, "seed": None, "seed_sha256": None, "sessions": {}}
+    manifest = read_manifest(folder) if path.exists() else empty
+    manifest["sessions"][home.name] = {"session_sha256": hash_folder(home), "truth_sha256": truth.seal()}
+    path.write_text(json.dumps(manifest, indent=1) + "\n")
 
 
 def draw_seed() -> int:

@@ -108,3 +108,39 @@ def test_worlds_draw(world: str) -> None:
 def test_slow_worlds_draw(world: str) -> None:
     """Likewise."""
     test_worlds_draw(world)
+
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+
+
+@pytest.mark.skipif(not (DATA / "simple_pendulum").is_dir(), reason="needs measured data in ../shared/data")
+def test_measured_sessions_are_written(tmp_path: Path) -> None:
+    """Files are found by their hash, cut as the manifest says, and the fit by hand lowers the error of simulations."""
+    mujoco = pytest.importorskip("mujoco")
+    from proving.simgap.entrants.lab import Correction, Lab
+    from proving.simgap.measured import write_measured
+
+    assert mujoco
+    assert len(write_measured(tmp_path, DATA)) == check_set(tmp_path)
+    for home in list_sessions(tmp_path):
+        lab, truth = Lab(read_session(home)), read_truth(tmp_path, home)
+        fitted = [Correction(truth.answer, truth.sizes[truth.answer])]
+        before, after = (float(np.sqrt(np.nanmean(lab.miss(c)[:, 4] ** 2))) for c in ((), fitted))
+        assert after < 0.9 * before, (home.name, before, after)
+
+
+def test_measured_data_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nothing can be fetched, one line says what to download; another file is refused by its hash."""
+    import io
+
+    from proving.simgap import measured
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError("no network")
+
+    monkeypatch.setattr(measured, "urlopen", fail)
+    with pytest.raises(ValueError, match=r"data_measured\.csv can't be fetched \(no network\): download it"):
+        measured.write_measured(tmp_path, None)
+    monkeypatch.setattr(measured, "urlopen", lambda *_, **__: io.BytesIO(b"time\n0.0\n"))
+    with pytest.raises(ValueError, match="it is not the file that was described"):
+        measured.write_measured(tmp_path, tmp_path)
