@@ -132,7 +132,7 @@ def identify(lab: Lab) -> tuple[dict[str, float], dict[str, list[float]], list[C
         low, high = bound(lab, cause)
         names.append(cause)
         found.add(sysid.Parameter(cause, given.off, low, high, modifier=make_modifier(kind, place)))
-    if not names:
+    if not names or lab.free:  # its signals of a free joint are not tried
         return {}, {}, []
     starts, controls, measured = [], [], []
     columns = [(f"{model.joint(j).name}_qpos", sysid.SignalType.MjStateQPos) for _, j in lab.positions]
