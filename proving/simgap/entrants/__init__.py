@@ -137,7 +137,8 @@ ENTRANTS = {
         "made to fit simulations to arms and legs with position servos, not to name a cause", "cma",
     ),
     "sysid": Entrant(
-        "mujoco.sysid", fit("shots:identify"), "masses, friction, damping, gains of joints; no delays, limits or zeros", "mujoco",
+        "mujoco.sysid", fit("shots:identify"),
+        "fits masses, friction, damping and gains of joints; no delays, limits or zeros", "mujoco",
     ),
     "network": Entrant("neural residual force", learn_network, "predicts, and names nothing", "scikit-learn"),
     "vpptwin": Entrant("vpptwin diagnose", run_vpptwin, "does not watch a run yet", "vpptwin"),

@@ -139,8 +139,7 @@ def identify(lab: Lab) -> tuple[dict[str, float], dict[str, list[float]], list[C
     for stretch in lab.tried[:: max(len(lab.tried) // 12, 1)]:
         u = stretch.u[round((HISTORY - stretch.lead) / STEP) :]
         clock = STEP * np.arange(len(u))
-        if model.nu:
-            controls.append(sysid.TimeSeries.from_control_names(clock, u, model))
+        controls.append(sysid.TimeSeries.from_control_names(clock, u, model))
         starts.append(sysid.create_initial_state(model, stretch.q, stretch.v))
         measured.append(
             sysid.TimeSeries.from_names(np.array(HORIZONS) + stretch.lead - 1e-4, stretch.measured, model, columns)
