@@ -14,7 +14,7 @@ import vpptwin
 from proving.kinds import write_kind
 from vpptwin.cli.main import main
 from vpptwin.diagnosis.search.suspects import list_unknowns
-from vpptwin.report.result import parse_fixed, settle_effects
+from vpptwin.report.result import parse_fixed, read_causes, settle_effects
 from vpptwin.twin.spec import load_twin
 
 TWIN = "model: rig.xml\nsignals:\n  joints:\n    hinge: {topic: run_1, position: hinge}\n"
@@ -152,3 +152,10 @@ def test_environments_take_twins_that_were_read() -> None:
     spec = load_twin("nominal").with_effects({"rail_x.coulomb": {"force": 0.3}})
     env = vpptwin.make_env("hover", twin=spec)
     assert "rail_x.coulomb" in env.twin.spec.effects
+
+
+def test_weak_causes_are_not_taken_for_granted(tmp_path: Path) -> None:
+    """`--from` takes what twin.yaml has."""
+    told = {"logs": ["a.csv"], "twin": "rig.yaml", "causes": [{"effect": "a.coulomb"}, {"effect": "b", "weak": True}]}
+    (tmp_path / "verdict.json").write_text(json.dumps(told))
+    assert read_causes(tmp_path) == ([Path("a.csv")], "rig.yaml", ["a.coulomb"])
