@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 import vpptwin
 from proving.kinds import write_kind
 from vpptwin.cli.main import main
+from vpptwin.diagnosis.judgement import diagnose as judgement
 from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.report.result import parse_fixed, read_causes, settle_effects
 from vpptwin.twin.spec import load_twin
@@ -159,3 +160,22 @@ def test_weak_causes_are_not_taken_for_granted(tmp_path: Path) -> None:
     told = {"logs": ["a.csv"], "twin": "rig.yaml", "causes": [{"effect": "a.coulomb"}, {"effect": "b", "weak": True}]}
     (tmp_path / "verdict.json").write_text(json.dumps(told))
     assert read_causes(tmp_path) == ([Path("a.csv")], "rig.yaml", ["a.coulomb"])
+
+
+def test_what_some_error_grows_with_is_suggested(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Left out of twin.yaml in the end, it takes most of the error half a second ahead: there is a twin with it."""
+    monkeypatch.setattr(judgement, "keep_better", lambda material, found: found.reduce_to(material.search.start))
+    given = [*map(str, sorted(folder.glob("run_*.csv"))), "--twin", str(folder / "twin.yaml"), "--out", str(tmp_path)]
+    assert main(["diagnose", *given]) == 0
+    told = json.loads((tmp_path / "verdict.json").read_text())
+    assert [(cause["weak"], cause["confidence"] <= 0.5) for cause in told["causes"]] == [(True, True)] * 2
+    assert told["before"] == told["after"]
+    assert told["suggested"]["angle_rmse_rad"][3] < 0.5 * told["before"]["angle_rmse_rad"][3]
+    assert told["gap"]
+    assert load_twin(tmp_path / "twin.yaml").effects == {}
+    assert set(load_twin(tmp_path / "twin_suggested.yaml").effects) == {"hinge.coulomb", "hinge.viscous"}
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.startswith("Not in twin.yaml, but in twin_suggested.yaml: ")
+    assert "What may help" not in said

@@ -138,7 +138,7 @@ def say_first(
     if verdict.suggested is not None and verdict.suggests:
         tables = tabulate_errors(verdict.after, verdict.suggested, noise)
         more = describe_gain(verdict.weak, tables, where, meanings)[0]
-        told.append(f"Not certain, but twin_suggested.yaml predicts better: {more[0].lower()}{more[1:]}")
+        told.append(f"Not in twin.yaml, but in twin_suggested.yaml: {more[0].lower()}{more[1:]}")
     return told or [say_nothing(verdict, tables, where)]
 
 

@@ -231,12 +231,12 @@ def test_a_horizon_without_measurements_leaves_no_share() -> None:
 def test_weak_causes_stay_out_of_the_extended_twin() -> None:
     """The verdict has errors without them, and with them as a suggestion; there is a gap if that is worth something."""
     faint = replace(CAUSE, effect="rail_z.coulomb", confidence=0.0988, weak=True)
-    whole = Diagnosis(replace(VERDICT, causes=[CAUSE, faint]), {KEY: 0.3, OTHER: 0.1}, [], None)  # type: ignore[arg-type]
     unseen = [Unseen("rail_z.coulomb", "too slow"), Unseen("air.drag", "too slow")]
     for after, gap in ((BEFORE, True), (AFTER, False)):
         lesser = replace(VERDICT, causes=[], after=after, unseen=unseen, gap=False)
-        found = suggest(whole, replace(whole, verdict=lesser, values={}))
+        given = Diagnosis(lesser, {}, [], None)  # type: ignore[arg-type]
+        found = suggest(given, [faint], AFTER, {OTHER: 0.1})
         assert (found.verdict.named, found.verdict.weak) == ([], [faint])
         assert (found.verdict.after, found.verdict.suggested, found.verdict.gap) == (after, AFTER, gap)
-        assert (found.values, found.suggested) == ({}, whole.values)
+        assert (found.values, found.suggested) == ({}, {OTHER: 0.1})
         assert [each.effect for each in found.verdict.unseen] == ["air.drag"]

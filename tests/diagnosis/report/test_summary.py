@@ -313,7 +313,7 @@ def test_weak_causes_are_folded_away() -> None:
     alone = replace(verdict, causes=[faint], after=BEFORE, suggested=AFTER)
     told = read(alone)
     assert told.headline == (
-        "Not certain, but twin_suggested.yaml predicts better: a delay of actuator motor (19.0 ± 0.5 ms; 10 % "
+        "Not in twin.yaml, but in twin_suggested.yaml: a delay of actuator motor (19.0 ± 0.5 ms; 10 % "
         f"probable) takes {FALLS}."
     )
     assert told.lines == [told.headline]

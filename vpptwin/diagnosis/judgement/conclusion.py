@@ -28,8 +28,8 @@ from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
 
 CONTRADICTED = (
-    "left out {}: fitted data need it, held-out data are predicted worse with it; one set of parameters may not fit "
-    "all of these logs: diagnose them one by one"
+    "left out {}: fitted data need it, held-out data are in part predicted worse with it; one set of parameters may "
+    "not fit all of these logs: diagnose them one by one"
 )
 STIFF = 0.99
 """Least impedance (`solimp`) of an equality that couples as a gear does."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -26,8 +26,8 @@ from vpptwin.diagnosis.evidence.logged_inputs import read_session
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
 from vpptwin.diagnosis.evidence.runs import Key, MakeTwin
 from vpptwin.diagnosis.judgement.blows import Findings, judge_blows, strikes_on
-from vpptwin.diagnosis.judgement.conclusion import conclude
-from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.conclusion import conclude, tell_cause
+from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.inferred import Inferred, infer_causes, is_material, rescale, select_inferred
 from vpptwin.diagnosis.judgement.leftover import judge_leftover
 from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
@@ -126,13 +126,16 @@ def diagnose(
         deadline.held = True  # what a verdict takes, and pictures of it
         deadline.not_done += selection.not_done
         selection = follow(material, selection, deadline)
-        selection = keep_better(material, selection) if causes is None else selection
+        kept = keep_better(material, selection) if causes is None else selection
         if only:
-            selection = replace(selection, unrivalled=selection.fit.effects)
-        found = judge(spec, flights, material, selection, stage, deadline)
+            kept = replace(kept, unrivalled=kept.fit.effects)
+        found = judge(spec, flights, material, kept, stage, deadline)
         if weak := found.verdict.weak:
-            lesser = leave_out(material, selection, [cause.effect for cause in weak])
-            found = suggest(found, judge(spec, flights, material, lesser, stage, deadline))
+            lesser = leave_out(material, kept, [cause.effect for cause in weak])
+            whole, found = found, judge(spec, flights, material, lesser, stage, deadline)
+            found = suggest(found, weak, whole.verdict.after, whole.values)
+        else:
+            found = recall(found, material, selection)
         if causes is not None:
             return replace(found, verdict=replace(found.verdict, settled=sorted(spec.settled)))
         if (blows := material.blows) is None or not blows.causes:  # other causes may have hidden them
@@ -206,16 +209,31 @@ def leave_out(material: Material, selection: Selection, weak: Sequence[str]) -> 
     return keep_better(material, lesser)
 
 
-def suggest(whole: Diagnosis, found: Diagnosis) -> Diagnosis:
-    """A diagnosis without weak causes, and the `whole` one with them, as one."""
-    verdict, weak = found.verdict, whole.verdict.weak
-    verdict = replace(verdict, causes=[*verdict.causes, *weak], suggested=whole.verdict.after)
-    ids = {cause.effect for cause in weak}
+def recall(found: Diagnosis, material: Material, whole: Selection) -> Diagnosis:
+    """A diagnosis that suggests what was left out because some error grew with it, if most of another goes with it."""
+    search, held_out, values, told = material.search, material.held_out, whole.fit.values, []
+    gone = sorted(whole.fit.effects - {key[0] for key in found.values})
+    if not gone:
+        return found
+    for effect in gone:
+        rest = {key: value for key, value in values.items() if key[0] != effect}
+        sure = min(whole.confidence(effect), search.criteria.sober)
+        cause = tell_cause(search, whole, effect, sure, *held_out.share_removed(rest, values, {}))
+        told.append(replace(cause, weak=True))
+    suggested = suggest(found, told, held_out.score(values), values)
+    return suggested if suggested.verdict.suggests else found
+
+
+def suggest(found: Diagnosis, weak: Sequence[Cause], score: Score, values: Mapping[Key, float]) -> Diagnosis:
+    """A diagnosis with weak causes beside, and the score and the values of a twin that has them too."""
+    verdict, ids = found.verdict, {cause.effect for cause in weak}
     verdict = replace(
-        verdict, cleared=[c for c in verdict.cleared if c.effect not in ids],
-        unseen=[u for u in verdict.unseen if u.effect not in ids], gap=verdict.gap or verdict.suggests,
+        verdict, causes=[*verdict.causes, *weak], suggested=score,
+        cleared=[c for c in verdict.cleared if c.effect not in ids],
+        unseen=[u for u in verdict.unseen if u.effect not in ids],
     )  # fmt: skip
-    return replace(found, verdict=verdict, suggested=whole.values)
+    verdict = replace(verdict, gap=verdict.gap or verdict.suggests)
+    return replace(found, verdict=verdict, suggested=dict(values))
 
 
 @dataclass(frozen=True)
