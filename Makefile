@@ -21,7 +21,7 @@ TORCH_INDEX ?=
 SELECT ?= not slow
 PYTEST_ARGS ?=
 
-.PHONY: help install demo test night newest check docs format lock clean distclean
+.PHONY: help install demo test night newest check docs format lock repository clean distclean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
@@ -78,6 +78,9 @@ lock: $(STAMP) ## write constraints.txt anew from what .venv holds now
 	$(BIN)/python .ci/lock.py > constraints.txt.new
 	mv constraints.txt.new constraints.txt
 	@touch $(STAMP)
+
+repository: $(STAMP) ## write where the repository lies into metadata, README, citation and site: make repository URL=https://...
+	$(BIN)/python .ci/repository.py "$(URL)"
 
 clean: ## remove what runs leave behind, keep .venv
 	rm -rf out runs outputs build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis constraints.txt.new

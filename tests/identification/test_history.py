@@ -76,6 +76,15 @@ def test_it_is_told_in_plain_words(found: History) -> None:
     assert "over all 5 logs" in grows
 
 
+def test_two_logs_have_no_empty_columns(growing: list[Path], known: History) -> None:
+    """Columns of changes that so few logs cannot show are left out; those of more have all."""
+    page = vpptwin.history(growing[:2], growing[0].parent / "rig.yaml", "slide.coulomb", progress=False).render([])
+    assert "<td></td>" not in page
+    assert "steady" not in page
+    assert "A change needs 3 logs" in page
+    assert all(f"<th>{change}</th>" in known.render([]) for change in ("any change", "steady", "at once"))
+
+
 @pytest.mark.slow
 def test_friction_that_stays_is_not_said_to_grow(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two processes fit it; the command ends with 0, prints a sentence, writes page and data."""

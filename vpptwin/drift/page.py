@@ -10,13 +10,16 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.ticker import MaxNLocator
 
 from vpptwin.drift.course import Course, ParameterHistory
-from vpptwin.drift.trend import CLEAR, WAYS
+from vpptwin.drift.trend import CLEAR, LEAST
 from vpptwin.effects import SIGMAS_90
 from vpptwin.report.html.page import open_templates, tie_units
 from vpptwin.report.provenance import Provenance
 from vpptwin.report.words import format_digits, format_value
 from vpptwin.viz.plots.figure import AFTER, BEFORE, INK, name_axes, open_figure, write_svg
 from vpptwin.viz.plots.palette import GREEN
+
+CHANGES = {"any": "any change", "line": "steady", "step": "at once", "bend": "from a log on"}
+"""Kinds of change → headings of their columns, which are left out where no parameter has an evidence."""
 
 
 def render_history(record: ParameterHistory, origin: Provenance) -> str:
@@ -32,21 +35,21 @@ def render_history(record: ParameterHistory, origin: Provenance) -> str:
         }
         for i, flight in enumerate(record.flights)
     ]  # fmt: skip
+    trends = [(course, course.trend) for course in record.courses if course.trend is not None]
+    found = [{"any": trend.evidence, **trend.evidences} for _, trend in trends]
+    kinds = [kind for kind in CHANGES if any(np.isfinite(each.get(kind, np.nan)) for each in found)]
     weighed = [
         {
-            "name": course.name, "scatter": f"{course.trend.scatter:.2g}{course.unit}",
-            "evidence": [
-                f"{e:.1f}" if e is not None and np.isfinite(e) else ""
-                for e in (course.trend.evidence, *map(course.trend.evidences.get, WAYS))
-            ],
+            "name": course.name, "scatter": f"{trend.scatter:.2g}{course.unit}",
+            "evidence": [f"{each[kind]:.1f}" if np.isfinite(each.get(kind, np.nan)) else "" for kind in kinds],
         }
-        for course in record.courses
-        if course.trend is not None
+        for (course, trend), each in zip(trends, found, strict=True)
     ]  # fmt: skip
     environment = open_templates("vpptwin.drift")
     environment.filters["tie"] = tie_units
     return environment.get_template("history.html.j2").render(
-        record=record, sentences=record.sentences, rows=rows, weighed=weighed, clear=CLEAR, origin=origin,
+        record=record, sentences=record.sentences, rows=rows, weighed=weighed,
+        changes=[CHANGES[kind] for kind in kinds], clear=CLEAR, least=LEAST, origin=origin,
         banded=any(course.band is not None for course in record.courses),
         figures=[draw_course(record, course) for course in record.courses if course.shown],
         warnings=record.warnings, format_digits=format_digits,
