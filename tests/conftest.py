@@ -50,6 +50,12 @@ def _trust_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vpptwin.system.trust._trusted", set())
 
 
+@pytest.fixture(autouse=True)
+def _compile_quietly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a test finds on standard error does not depend on what tests before it have compiled."""
+    monkeypatch.setattr("vpptwin.system.progress.tell_line", lambda text: None)
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of measured data beside the checkout; the test is skipped where there is none."""

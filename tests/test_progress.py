@@ -31,10 +31,14 @@ def test_a_file_gets_a_few_lines(capfd: pytest.CaptureFixture[str], monkeypatch:
 def test_waiting_shows_itself_on_a_terminal_alone(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Text and time while it lasts, nothing left of it; a file gets nothing."""
+    """Text and time while it lasts, nothing left of it; a file gets nothing, or a line."""
     with tell_wait("compiling"):
         pass
     assert capfd.readouterr().err == ""
+    monkeypatch.undo()
+    with tell_wait("compiling", always=True):
+        pass
+    assert capfd.readouterr().err == "vpptwin: compiling\n"
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     with tell_wait("compiling"):
         time.sleep(0.7)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -44,9 +45,9 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
 
 
 def finish(child: subprocess.Popen[str]) -> tuple[int, str]:
-    """Exit code and what it said on stderr."""
+    """Exit code and what it said on stderr, but for what it compiled."""
     said = child.communicate(timeout=120)[1]
-    return child.returncode, said
+    return child.returncode, re.sub(r"^vpptwin: compiling .*\n", "", said, flags=re.MULTILINE)
 
 
 def wait_for(condition: Callable[[], bool]) -> None:

@@ -62,6 +62,10 @@ def twin_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "twin.yaml"
 
 
+SAID: list[str] = []
+"""What each process said on standard error, which is no terminal."""
+
+
 def run_program(program: str, cache: Path, *arguments: str) -> list[str]:
     """Run a program in a process of its own; the lines that it prints."""
     environment = os.environ | {"XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(ROOT)}
@@ -70,6 +74,7 @@ def run_program(program: str, cache: Path, *arguments: str) -> list[str]:
         [sys.executable, "-c", program, *arguments], env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+    SAID.append(done.stderr)
     return done.stdout.splitlines()
 
 
@@ -90,6 +95,7 @@ def first(twin_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     cache = tmp_path_factory.mktemp("cache")
     hits, position = run(twin_file, cache)
     assert hits == 0
+    assert SAID[-1] == "vpptwin: compiling the step of this rig, once, some 10 s\n"
     return cache, position
 
 
@@ -99,6 +105,7 @@ def test_second_process_compiles_nothing(twin_file: Path, first: tuple[Path, str
     before = list_files(cache / "vpptwin")
     assert any(name.endswith(".nbc") for name in before)
     assert run(twin_file, cache) == (2, position)  # the step, and what warms actuators up
+    assert SAID[-1] == ""
     assert list_files(cache / "vpptwin") == before
 
 

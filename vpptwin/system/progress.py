@@ -30,10 +30,17 @@ def tell_stage(bar: tqdm, text: str) -> None:
     bar.set_postfix_str(text, refresh=bar.n > 0)
 
 
+def tell_line(text: str) -> None:
+    """Say what takes a while, where it is collected."""
+    print(f"vpptwin: {text}", file=sys.stderr, flush=True)
+
+
 @contextmanager
-def tell_wait(text: str) -> Iterator[None]:
-    """While in the block, text and the seconds so far on a terminal; a file gets nothing."""
+def tell_wait(text: str, always: bool = False) -> Iterator[None]:
+    """While in the block, text and the seconds so far on a terminal; a file gets nothing, or `always` a line."""
     if not sys.stderr.isatty():
+        if always:
+            tell_line(text)
         yield
         return
     over = Event()

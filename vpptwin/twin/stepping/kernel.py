@@ -265,7 +265,7 @@ def compile_entry(source: str, name: str, key: str, pipeline: Pipeline | None, d
     exec(compile(source, str(file or "<kernel>"), "exec"), namespace)
     signature = types.void(types.voidptr, types.voidptr) if name == "control" else types.void(*(types.int64,) * 4)
     known = pipeline is None or (file is not None and any(file.parent.glob(KEPT)))
-    with nullcontext() if known else tell_wait(COMPILING):
+    with nullcontext() if known else tell_wait(COMPILING, always=True):
         function = c_function(signature, keep=file is not None, error_model="numpy")(namespace[name])
     if file is not None:
         seal_entry(file)
