@@ -92,8 +92,9 @@ def run_play(options: argparse.Namespace) -> None:
         raise InputError(f"--viewer mujoco and {other} {elsewhere[other]}", "one of them", "leave one out")
     if options.live is None:
         restart = None if options.free else options.restart
-        source = LogSource(options.log, options.twin, restart, options.topic_map, options.effects)
-        play_log(source, options.html, options.video, options.host, options.viewer == "mujoco", options.port)
+        first, *others = options.twin or [None]
+        source = LogSource(options.log, first, restart, options.topic_map, options.effects)
+        play_log(source, options.html, options.video, options.host, options.viewer == "mujoco", options.port, others)
         return
     if options.log:
         raise InputError(f"{options.log[0]} and --live {options.live}", "a log or a policy", "leave one out")

@@ -19,7 +19,7 @@ MOTIONS = ("multisine", "prbs_excitation", "random_waypoints")
 
 
 def show_demo(out: Path, force: bool = False) -> None:
-    """Diagnose three shipped flights of a rig with a hidden effect; show a flip beside the nominal twin, and the wall.
+    """Diagnose three shipped flights of a rig with a hidden effect; show a flip beside both twins, and the wall.
 
     Args:
         out: folder of report and pages.
@@ -33,14 +33,14 @@ def show_demo(out: Path, force: bool = False) -> None:
     began, flights = time.perf_counter(), shorten(flights_dir())
     print("Three flights of an independent simulation, with one effect that the nominal twin lacks. What is it?\n")
     diagnose_logs([flights / f"{name}.mcap" for name in DIAGNOSED], "nominal", out, force=force)
-    print("\nA flip from the same rig, the nominal twin beside it, restarted every half second:")
-    play_log(LogSource([flights / "flip.mcap"], "nominal"), out / "flip.html")
+    print("\nA flip from the same rig, beside it the nominal twin and the extended one, restarted every half second:")
+    play_log(LogSource([flights / "flip.mcap"], "nominal"), out / "flip.html", others=[str(out / "twin.yaml")])
     show_wall(out)
     tell_pages(began, out, ("report.html", "flip.html", "wall.html"))
 
 
 def show_arm(out: Path, force: bool = False) -> None:
-    """Diagnose three measured motions of a hobby arm, the SO-101; show one beside the twin that comes of it.
+    """Diagnose three measured motions of a hobby arm, the SO-101; show one beside both twins.
 
     Args:
         out: folder of report and page.
@@ -55,8 +55,9 @@ def show_arm(out: Path, force: bool = False) -> None:
     motions = [home / "motions" / f"{name}.mcap" for name in MOTIONS]
     print("Three motions of a real arm, and a model with its makers' numbers. What is wrong with the turntable's?\n")
     diagnose_logs(motions, str(home / "rotation.yaml"), out, force=force)
-    print("\nA motion, the extended twin beside it, restarted every half second:")
-    play_log(LogSource([motions[-1]], str(out / "twin.yaml")), out / "motion.html")
+    print("\nA motion, beside it the twin as it was and the extended one, restarted every half second:")
+    given = LogSource([motions[-1]], str(home / "rotation.yaml"))
+    play_log(given, out / "motion.html", others=[str(out / "twin.yaml")])
     tell_pages(began, out, ("report.html", "motion.html"))
 
 

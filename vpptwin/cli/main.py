@@ -210,7 +210,7 @@ def describe_logs(begin: Begin) -> None:
     add = begin("plot", "draw a log over time, the twin beside it, or training curves", commands.run_plot)
     sources = "a log (or its split files), or folders of training runs"
     add("source", type=Path, nargs="+", metavar="SOURCE", help=sources)
-    add_beside(add, several=True)
+    add_beside(add)
     add("--out", type=Path, help="picture, .png or .svg, or interactive page, .html (default SOURCE.png)")
     add("--theme", choices=["light", "dark"], default="light", help="of PNG and page (default light)")
 
@@ -296,11 +296,10 @@ def add_logs(add: Add, number: str = "+") -> None:
     add_as_is(add)
 
 
-def add_beside(add: Add, several: bool = False) -> None:
-    """Arguments of commands that show the twin, or `several`, beside a log."""
-    more = "; may be repeated" if several else ""
-    twin = f"`nominal`, `typical` or a twin YAML, driven by the log's commands{more}"
-    add("--twin", action="append" if several else "store", help=twin)
+def add_beside(add: Add) -> None:
+    """Arguments of commands that show twins beside a log."""
+    twin = "`nominal`, `typical` or a twin YAML, driven by the log's commands; may be repeated"
+    add("--twin", action="append", help=twin)
     add_effects(add)
     add("--restart", type=float, default=0.5, help="seconds between the twin's restarts (default 0.5)")
     add("--free", action="store_true", help="let the twin run freely from the start")

@@ -13,6 +13,7 @@ from vpptwin.logs import Flight, read_flight
 from vpptwin.logs.spelling import expand
 from vpptwin.system.doubt import list_overruled
 from vpptwin.system.errors import InputError
+from vpptwin.system.files import write_whole
 from vpptwin.system.terminal import print_dropped, print_warnings
 from vpptwin.twin.spec import TwinSpec, load_twin
 
@@ -71,7 +72,7 @@ def look_over(spec: TwinSpec, flight: Flight) -> list[str]:
 
 def play_log(
     source: LogSource, html: Path | None, video: Path | None = None, host: str = "127.0.0.1", in_window: bool = False,
-    port: int = 0,
+    port: int = 0, others: Sequence[str] = (),
 ) -> None:  # fmt: skip
     """Play one recording.
 
@@ -82,9 +83,16 @@ def play_log(
         host: address of this machine to serve on.
         port: to serve on; 0 for any that is free.
         in_window: show it in MuJoCo's own viewer instead of serving it.
+        others: more twins, each in a scene of its own on the same page.
+
+    Raises:
+        InputError: on bad input, and on several twins where one scene is all there is.
     """
     from vpptwin.viz.pages.playback import play_live, play_page  # neither of the two commands waits for the other's
 
+    if others:
+        play_beside(source, others, html, video is not None or in_window, host, port)
+        return
     if video is not None:
         from vpptwin.viz.scene.video import check_video, write_video
 
@@ -102,6 +110,26 @@ def play_log(
         print(play_page(flight, prediction, html, spec=spec))
     if html is None and video is None:
         play_live(flight, prediction, spec=spec, host=host, port=port)
+
+
+def play_beside(
+    source: LogSource, others: Sequence[str], html: Path | None, alone: bool, host: str, port: int
+) -> None:  # fmt: skip
+    """Play one recording with several twins, side by side; `alone` is whether one scene is asked for."""
+    from vpptwin.viz.pages.beside import draw_beside
+    from vpptwin.viz.pages.playback import serve_page
+
+    twins = [str(source.twin), *others]
+    if alone:
+        found, action = f"{len(twins)} twins in a video or a window", "name one, or write a page with --html"
+        raise InputError(found, "one", action)
+    read = [replace(source, twin=twin).read() for twin in twins]
+    shown = [(name, prediction, spec) for name, (_, prediction, spec) in zip(name_apart(twins), read) if prediction]
+    page = draw_beside(read[0][0], shown)
+    if html is None:
+        serve_page(page, host, port)
+    else:
+        print(write_whole(html, page))
 
 
 def plot(source: LogSource, out: Path, theme: str = "light", others: Sequence[str] = ()) -> None:

@@ -13,12 +13,17 @@ import jinja2
 import meshcat
 import numpy as np
 import umsgpack
+from meshcat import Visualizer
+from meshcat.commands import SetAnimation
 
 from vpptwin.viz.plots import palette
 from vpptwin.viz.scene.camera import CameraView, frame_view
 from vpptwin.viz.scene.geoms import GRID_STEP, ROOT, find_corners, name_body
 from vpptwin.viz.scene.show import TRAIL_DURATION, LegendEntry, Show, view_show
+from vpptwin.viz.scene.stage import draw_show
+from vpptwin.viz.scene.tracks import Animation
 
+FOREVER = float("inf")  # repetitions of a looping animation
 FOLLOWED_HALF_HEIGHT = 0.6  # m seen above and below a followed craft
 VIEWER = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
 TEMPLATES = jinja2.Environment(
@@ -86,13 +91,27 @@ def lower_view(view: CameraView) -> tuple[float, float, float]:
     return float(view.centre[0]), float(view.centre[2]), view.distance
 
 
-def render_page(commands: list[bytes], text: PageText) -> str:
-    """The page as HTML, from packed meshcat commands in the order of drawing and what it says around the scene."""
+def record_show(show: Show) -> list[bytes]:
+    """What a viewer is told, packed, in the order of drawing: the scene, and its motion for ever."""
+    recorder = Recorder()
+    tracks = draw_show(Visualizer(window=recorder), show)
+    recorder.send(SetAnimation(Animation(tracks), play=True, repetitions=FOREVER))
+    return recorder.commands
+
+
+def render_page(commands: list[bytes], text: PageText, viewer: str | None = None) -> str:
+    """The page as HTML.
+
+    Args:
+        commands: packed, of meshcat, in the order of drawing.
+        text: what it says around the scene.
+        viewer: what stands in the place of meshcat's script; None for that.
+    """
     readout: dict[str, object] = {
         "start": text.start, "frame": text.duration / (text.frames - 1), "log": text.log_node, "twin": text.twin_node,
         "views": text.views, "trail": round(TRAIL_DURATION * text.frames / text.duration),
     }  # fmt: skip
     drawing = json.dumps([base64.b64encode(command).decode() for command in commands])
-    viewer = VIEWER.read_text(encoding="utf-8")
+    viewer = viewer or VIEWER.read_text(encoding="utf-8")
     page = TEMPLATES.get_template("play.html")
     return page.render(text=text, viewer=viewer, commands=drawing, readout=readout)

@@ -8,24 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from meshcat import Visualizer
-from meshcat.commands import SetAnimation
 
 from vpptwin.system.files import write_whole
 from vpptwin.system.signals import until_interrupted
 from vpptwin.twin.spec import TwinSpec, load_twin
 from vpptwin.viz.pages.browse import tell_address
-from vpptwin.viz.pages.page import Recorder, describe_show, render_page
+from vpptwin.viz.pages.page import describe_show, record_show, render_page
 from vpptwin.viz.pages.serve import LOOPBACK, Server, keep_going
 from vpptwin.viz.scene.show import prepare_show
-from vpptwin.viz.scene.stage import draw_show
-from vpptwin.viz.scene.tracks import Animation
 
 if TYPE_CHECKING:
     from vpptwin.estimation.replay import Prediction
     from vpptwin.logs.flight import Flight
-
-FOREVER = float("inf")  # repetitions of a looping animation
 
 
 def play_page(
@@ -55,11 +49,8 @@ def play_page(
 def draw_page(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -> str:
     """The page of `play_page` as HTML."""
     show = prepare_show(flight, prediction, spec)
-    recorder = Recorder()
-    tracks = draw_show(Visualizer(window=recorder), show)
-    recorder.send(SetAnimation(Animation(tracks), play=True, repetitions=FOREVER))
     caption = "" if prediction is None else name_twin(spec, prediction)
-    return render_page(recorder.commands, describe_show(show, flight.name, caption))
+    return render_page(record_show(show), describe_show(show, flight.name, caption))
 
 
 def name_twin(spec: TwinSpec, prediction: Prediction) -> str:
@@ -81,7 +72,12 @@ def play_live(
     Raises:
         InputError: if the log has nothing to draw, or there is no such address.
     """
-    page = draw_page(flight, prediction, spec or load_twin()).encode()
+    serve_page(draw_page(flight, prediction, spec or load_twin()), host, port)
+
+
+def serve_page(text: str, host: str = LOOPBACK, port: int = 0) -> None:
+    """Serve a page, print where, open it, until Ctrl-C."""
+    page = text.encode()
     server = Server(host, {"": lambda body: ("text/html; charset=utf-8", page)}, port=port)
     with until_interrupted(), closing(server):
         tell_address(server, "shows the flight. Ctrl-C here to end.")
