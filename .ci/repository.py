@@ -14,7 +14,7 @@ PLACES = {
     "pyproject.toml": ("[project.urls]", 'Repository = "{}"\nIssues = "{}/issues"'),
     "CITATION.cff": ("license: Apache-2.0", 'repository-code: "{}"'),
     "mkdocs.yml": ("docs_dir: docs", "repo_url: {}"),
-    "README.md": ("<!--repository-->", "Source and issues: <{}>."),
+    "README.md": ("<!--repository-->", "Source: <{}>."),
 }
 """File → the line behind which it stands, and as what."""
 

@@ -33,7 +33,7 @@ def test_one_setting_fills_all_places(tmp_path: Path) -> None:
     assert (urls["Repository"], urls["Issues"]) == (URL, f"{URL}/issues")
     assert yaml.safe_load((tmp_path / "CITATION.cff").read_text())["repository-code"] == URL
     assert f"repo_url: {URL}\n" in (tmp_path / "mkdocs.yml").read_text()
-    assert (tmp_path / "README.md").read_text().count(f"Source and issues: <{URL}>.") == 1
+    assert (tmp_path / "README.md").read_text().count(f"Source: <{URL}>.") == 1
     assert run("somewhere") == 1
     assert run("") == 0
     assert {name: (tmp_path / name).read_text() for name in FILES} == before
