@@ -41,6 +41,7 @@ WORKING = {
     "plot": ["plot", "flip.mcap", "--twin", "nominal"],
     "play": ["play", "flip.mcap", "--twin", "nominal", "--html", "flip.html"],
     "layouts": ["layouts", "layouts"],
+    "csv": ["inspect", "flight.csv"],
     "diagnose": ["diagnose", "--help"],
     "identify": ["identify", "--help"],
     "history": ["history", "--help"],
@@ -54,7 +55,7 @@ REFUSED = {
     "onnx": (["export", "flip", "--format", "onnx"], "deploy"),
     "rrd": (["diagnose", "flip.mcap", "--out", "out", "--rrd"], "rerun"),
     "mp4": (["play", "flip.mcap", "--video", "flip.mp4"], "video"),
-    "csv": (["inspect", "flight.csv"], "logs"),
+    "parquet": (["inspect", "flight.parquet"], "logs"),
     "menagerie": (["inspect", "flip.mcap", "--model", "ur10e"], "menagerie"),
     "fly onnx": (["fly", "--policy", "empty.onnx", "--out", "a.mcap"], "deploy"),
 }
@@ -76,6 +77,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Ended]:
     folder = tmp_path_factory.mktemp("small")
     (folder / "empty.onnx").touch()
     (folder / "flight.csv").write_text("t,q\n0.0,1.0\n0.1,1.1\n")
+    (folder / "flight.parquet").write_bytes(b"PAR1")
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT, modules], input=json.dumps(commands), cwd=folder, capture_output=True, text=True,
         check=True, env={**os.environ, "PYTHONPATH": str(ROOT)},

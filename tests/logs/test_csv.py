@@ -11,6 +11,14 @@ from tests.logs.test_foreign import read_all, read_joint, read_stream, write_csv
 from vpptwin.mapping.survey import survey
 from vpptwin.system.errors import InputError
 
+
+@pytest.fixture(autouse=True, params=["Arrow", "Python alone"])
+def _read_by(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With Arrow, and without it."""
+    if request.param != "Arrow":
+        monkeypatch.setattr("vpptwin.logs.formats.delimited.load_arrow", lambda: None)
+
+
 COUNT = 300
 TIME = 0.005 * np.arange(COUNT)
 PLACE = 12.5 * np.arange(COUNT) - 40.25

@@ -588,8 +588,9 @@ def test_a_missing_library_says_how_to_get_it(tmp_path: Path, monkeypatch: pytes
         raise ModuleNotFoundError(name=name)
 
     monkeypatch.setattr("vpptwin.system.errors.import_module", refuse)
+    parquet.write_table(pa.table({"t": [0.0, 1.0], "q": [0.0, 1.0]}), tmp_path / "state.parquet")
     with pytest.raises(InputError, match=r"needs pyarrow, which is not installed; .*pip install 'vpptwin\[logs\]'"):
-        read_joint(write_csv(tmp_path / "state.csv", FIELD["plain"][0]), "state", position="q")
+        read_joint(tmp_path / "state.parquet", "state", position="q")
 
 
 def test_a_twin_names_columns(shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

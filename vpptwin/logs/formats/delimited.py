@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,8 @@ from vpptwin.logs.formats.csv_form import (
 from vpptwin.logs.formats.headings import find_times
 from vpptwin.logs.formats.raw import Query, refuse_damaged
 from vpptwin.logs.formats.tables import NAMES, Table, choose_fields, find_named, list_some, note_dropped
-from vpptwin.system.errors import InputError, load_extra
+from vpptwin.logs.streams.cells import read_pieces
+from vpptwin.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -44,7 +46,6 @@ _FORMS = {
 
 def read_csv(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator[Table]:
     """Rows of a CSV file, which may be gzipped, in pieces."""
-    pa = load_extra("pyarrow", path)
     form = sniff(path, notes)
     times = find_times(path, topic, form.names, query.stamps.get(topic), form.units)
     clock = times.name
@@ -55,11 +56,11 @@ def read_csv(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator
             if query.texts or kind != "text" or name in needed or NAMES.fullmatch(name)}  # fmt: skip
     wanted = [name for name in form.names if name in readable and (name in fields or name == clock)]
     times.unit = "ns" if is_date(form, clock) else None
-    cells, number = CsvCells(path, form, clock, needed, pa), 0
-    for batch in convert_batches(cells, wanted):
-        columns = {name: read_column(cells, batch.column(name), name, number) for name in wanted}
-        number += batch.num_rows
-        columns = drop_blank(cells, columns, number - batch.num_rows)
+    cells, number = CsvCells(path, form, clock, needed, load_arrow()), 0
+    for columns in convert_columns(cells, wanted):
+        rows = len(columns[clock])
+        columns = drop_blank(cells, columns, number)
+        number += rows
         yield Table(topic, times.count(columns[clock], notes), columns, form.units, fields)
     if not number:
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
@@ -67,6 +68,25 @@ def read_csv(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator
     lost = [f"{name} ({count}, the first {cell[:40]!r})" for name, (count, cell) in cells.lost.items()]
     lost_notes = list_some("no numbers in", unread), list_some("cells that are not as the others in", lost)
     notes += [f"{topic}: {note}" for note in lost_notes if note]
+
+
+def load_arrow() -> Any:  # noqa: ANN401
+    """Arrow, or None where it is not installed."""
+    try:
+        return import_module("pyarrow")
+    except ModuleNotFoundError:
+        return None
+
+
+def convert_columns(cells: CsvCells, wanted: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+    """The columns wanted, some rows at a time."""
+    if cells.pa is None:
+        yield from read_pieces(cells, wanted)
+        return
+    number = 0
+    for batch in convert_batches(cells, wanted):
+        yield {name: read_column(cells, batch.column(name), name, number) for name in wanted}
+        number += batch.num_rows
 
 
 class CellError(Exception):
@@ -85,7 +105,7 @@ class CsvCells:
         path, form: of the file.
         clock: column of the time.
         needed: columns in which every cell must be what the first ones are.
-        pa: Arrow.
+        pa: Arrow; None where it is not installed.
         loose: columns that are read as text and converted here, as some cells are no plain number.
         lost: column → how many of its cells are left out, and the first of them.
     """
@@ -119,7 +139,8 @@ class CsvCells:
         """Note cells that are `wrong`, (n,) bool, in rows behind `number` others."""
         if not wrong.any():
             return
-        cell = str(column[int(np.argmax(wrong))].as_py())
+        cell = column[int(np.argmax(wrong))]
+        cell = cell if isinstance(cell, str) else str(cell.as_py())
         if name in self.needed:
             line = self.find_line(number + int(np.argmax(wrong)))
             raise InputError(f"{self.path}, line {line}: {cell!r} as {name}", expected, "correct the line")
