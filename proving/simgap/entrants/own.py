@@ -76,7 +76,10 @@ def diagnose(session: Session, home: Path) -> tuple[dict[str, float], dict[str, 
                 sizes[name] = draw_sizes(rng, value, std)
             if told is cause and value is not None and cause["confidence"] >= 0.3:
                 corrections.append(Correction(name, value, other))
-    evidence = {name: float(np.log(max(share, 1e-4))) for name, share in shares.items()}
+    misfit = verdict["misfit"] or {}
+    for name in misfit.get("within", []):  # what makes most of an error without leaving its build tolerance
+        shares.setdefault(name, 0.5 * misfit["explained"] / len(misfit["within"]))
+    evidence = {n: float(np.log(max(share, 1e-4))) for n, share in shares.items() if n in session.causes}
     if verdict["unexplained"]["significant"] or lost:
         evidence[UNKNOWN] = float(np.log(max(lost, 0.5)))
     return evidence, sizes, corrections, str(verdict.get("stopped") or "")
