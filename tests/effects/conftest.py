@@ -6,6 +6,9 @@ import pytest
 
 from tests.effects.rigs import EFFECTS, Rig, load_rigs
 
+SWEPT = "flown"
+"""The drone under policy commands has the effects of the replayed one: each alone is `slow`, all at once are not."""
+
 
 @pytest.fixture(scope="session")
 def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
@@ -32,8 +35,12 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     names, only = (marker.args or tuple(EFFECTS), marker.kwargs.get("only")) if marker else (tuple(EFFECTS), None)
     if "effect_id" in metafunc.fixturenames:
         cases = [(name, effect.id) for name in names for effect in EFFECTS[name] if only is None or only(effect)]
-        given = [((name, effect_id), effect_id) for name, effect_id in cases]
-        metafunc.parametrize(("rig", "effect_id"), given, indirect=["rig"], ids=[f"{r}-{e}" for r, e in cases])
+        given = [
+            pytest.param((name, effect_id), effect_id, id=f"{name}-{effect_id}", marks=[pytest.mark.slow] * (
+                name == SWEPT and len(names) > 1))
+            for name, effect_id in cases
+        ]  # fmt: skip
+        metafunc.parametrize(("rig", "effect_id"), given, indirect=["rig"])
     else:
         metafunc.parametrize("rig", [(name, "") for name in names], indirect=True, ids=names)
 

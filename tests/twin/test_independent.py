@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from _pytest.mark import ParameterSet
 
 from proving.drone.rig import ON_THE_RIG
 from tests.twin.independent import DYNAMIC, SENSORS, Comparison, compare
@@ -73,7 +74,13 @@ def test_every_effect_on_the_motion_is_compared(specs: dict[str, TwinSpec]) -> N
         assert ours == set(DYNAMIC) - set(missing)
 
 
-@pytest.mark.parametrize(("model", "case"), CASES)
+def mark(cases: Sequence[tuple[str, str]]) -> list[ParameterSet]:
+    """Parameters of a test; of the free craft, which lacks the rig alone, single effects are `slow`."""
+    slow = [model == MODELS[0] and case in DYNAMIC for model, case in cases]
+    return [pytest.param(*case, marks=[pytest.mark.slow] * late) for case, late in zip(cases, slow, strict=True)]
+
+
+@pytest.mark.parametrize(("model", "case"), mark(CASES))
 def test_twin_agrees_with_an_independent_integrator(fly: Fly, model: str, case: str) -> None:
     """From random states under random blade pitch and throttle both fly alike, but for what their steps explain."""
     comparison, count = fly(model, case), (WHOLE if case in WHOLE[0] else SINGLE)[2]
@@ -82,7 +89,7 @@ def test_twin_agrees_with_an_independent_integrator(fly: Fly, model: str, case: 
     assert comparison.find_share(which).max() <= 1.0
 
 
-@pytest.mark.parametrize(("model", "case"), [pair for pair in CASES if pair[1] in DYNAMIC])
+@pytest.mark.parametrize(("model", "case"), mark([pair for pair in CASES if pair[1] in DYNAMIC]))
 def test_effect_that_is_five_percent_off_would_show(fly: Fly, fly_wrong: FlyWrong, model: str, case: str) -> None:
     """The bound is tight: with an effect's parameters 5 % off, those flights that feel it leave the bound."""
     comparison = fly(model, case)
