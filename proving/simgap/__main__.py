@@ -26,6 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     draw.add_argument("--worlds", default=",".join(WORLDS), help="default: %(default)s")
     draw.add_argument("--numbers", default="0:12", help="of sessions of each world, default: %(default)s")
+    draw.add_argument("--lerobot", action="store_true", help="runs as LeRobot data sets too (needs pyarrow)")
     measured = commands.add_parser("measured", help="write the sessions with measured data, which are scored apart")
     measured.add_argument("folder", type=Path)
     measured.add_argument("--data", type=Path, help="where their files lie; by default they are fetched")
@@ -68,7 +69,7 @@ def run_draw(given: argparse.Namespace) -> int:
     first, _, last = given.numbers.partition(":")
     numbers = range(int(first), int(last)) if last else [int(first)]
     seed = draw_seed() if given.secret else 1 if given.seed is None else given.seed
-    draw_set(given.folder, seed, dict.fromkeys(worlds, numbers), not given.secret)
+    draw_set(given.folder, seed, dict.fromkeys(worlds, numbers), not given.secret, given.lerobot)
     manifest = read_manifest(given.folder)
     secret = f"; the seed is {seed}: keep it, it is written nowhere" if given.secret else ""
     print(f"{len(manifest['sessions'])} sessions in {given.folder}, hash {hash_set(manifest)}{secret}")

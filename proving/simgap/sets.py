@@ -9,11 +9,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from proving.simgap.lerobot import write_lerobot
 from proving.simgap.session import VERSION, Truth, dump, read_truth, write_session
 from proving.simgap.worlds import draw_session
 
 
-def draw_set(folder: Path, seed: int, chosen: Mapping[str, Sequence[int]], public: bool) -> Path:
+def draw_set(
+    folder: Path, seed: int, chosen: Mapping[str, Sequence[int]], public: bool, lerobot: bool = False
+) -> Path:  # fmt: skip
     """Draw sessions into a folder: `sessions/` for entrants, `truth/` for the judge, and the manifest.
 
     Args:
@@ -21,6 +24,7 @@ def draw_set(folder: Path, seed: int, chosen: Mapping[str, Sequence[int]], publi
         seed: of all.
         chosen: world → numbers of sessions.
         public: whether the manifest tells the seed; otherwise its hash alone.
+        lerobot: write runs as LeRobot data sets too, where the format can hold them.
 
     Raises:
         ValueError: where the folder holds sessions of another seed.
@@ -36,6 +40,8 @@ def draw_set(folder: Path, seed: int, chosen: Mapping[str, Sequence[int]], publi
         for number in numbers:
             session, logs, truth = draw_session(world, seed, number)
             home = write_session(session, logs, truth, folder)
+            if lerobot:
+                write_lerobot(session, home / "lerobot")
             sessions[home.name] = {"session_sha256": hash_folder(home), "truth_sha256": truth.seal()}
     manifest = {
         "simgap": VERSION, "seed": seed if public else None, "seed_sha256": commit_seed(seed), "sessions": sessions,

@@ -110,6 +110,23 @@ def test_slow_worlds_draw(world: str) -> None:
     test_worlds_draw(world)
 
 
+def test_runs_as_lerobot(tmp_path: Path) -> None:
+    """An episode for each run, read back by name; what has several clocks is left out."""
+    pytest.importorskip("pyarrow")
+    from proving.simgap.lerobot import write_lerobot
+    from vpptwin.logs.read import read_flight
+    from vpptwin.system.fields import SignalEntry
+
+    session, _, _ = draw_session("carts", 5, 0)
+    folder = write_lerobot(session, tmp_path / "set")
+    name = next(iter(session.find("position").values()))
+    entry = SignalEntry.model_validate({"topic": "episode", "position": f"observation.state.{name}"})
+    for k, run in enumerate(session.runs):
+        stream = read_flight(f"{folder}#{k}", None, {"/joint_states": {"j": entry}}).joints["/joint_states"]["j"]
+        np.testing.assert_allclose(stream["position"], run.columns[name], rtol=1e-6)
+    assert write_lerobot(draw_session("quadrotors", 5, 0)[0], tmp_path / "other") is None
+
+
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 
