@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-from PIL import Image
 
 from vpptwin.cli.main import main
 from vpptwin.diagnosis.judgement.verdict import Estimate
@@ -67,21 +66,13 @@ def test_friction_of_a_small_cart_is_suggested(rig: Rig) -> None:
 
 
 @pytest.mark.slow
-def test_pages_say_what_is_found(rig: Rig, pivot: dict) -> None:
+def test_pages_say_what_is_found(rig: Rig) -> None:
     """The example's page: strengths as the report writes them, and how sure."""
     page = (ROOT / "examples/antx/README.md").read_text(encoding="utf-8")
     first = rig.verdict["causes"][0]
     (strength,) = first["parameters"].values()
     assert f"{format_value(Estimate(**strength))}" in page
     assert f"at {100.0 * first['confidence']:.0f} %" in page
-    for cause in pivot["causes"]:
-        strength = next(iter(cause["parameters"].values()))
-        size = format_value(Estimate(**strength), signed=cause["effect"] == "pitch.inertia")
-        assert f"`{cause['effect']}` {size}" in page
-    told = Image.open(ROOT / "docs/pictures/antx_pivot.png").info["Description"]
-    assert format_value(Estimate(**next(iter(pivot["causes"][0]["parameters"].values())))) in told, (
-        "python -m tests.viz.pictures"
-    )
 
 
 @pytest.mark.slow

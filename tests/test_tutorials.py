@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs/tutorials"
@@ -69,6 +70,8 @@ def test_pages_of_measured_robots_show_what_is_printed() -> None:
     """What `test_tutorial` finds in the output stands in the page, which so is current."""
     page = (FOLDER / "so101.md").read_text(encoding="utf-8")
     assert [words for words in PROMISED["so101"] if words.removeprefix("│ ") not in page] == []
+    picture = Image.open(ROOT / "docs/pictures/so101.png").info["Description"]
+    assert picture in page, "vpptwin demo so101 && python -m tests.viz.pictures"
 
 
 def test_the_readme_shows_what_a_tutorial_does() -> None:

@@ -1,4 +1,4 @@
-"""Draws the pictures of the documentation: make demo && python -m tests.viz.pictures (needs Chromium).
+"""Draws the pictures of the documentation, with Chromium: make demo, vpptwin demo so101, python -m tests.viz.pictures.
 
 Those of a report carry its sentence, by which a test sees whether they are still of what the demo says.
 """
@@ -59,7 +59,5 @@ def draw_report(report: Path, top: Path, force: Path | None = None) -> None:
 if __name__ == "__main__":
     pictures = ROOT / "docs/pictures"
     draw_report(ROOT / "out/demo/report.html", pictures / "report.png", pictures / "force.png")
-    pivot = ROOT / "out/pitch/report.html"  # of the command in examples/antx/README.md
-    if pivot.exists():
-        draw_report(pivot, pictures / "antx_pivot.png")
+    draw_report(ROOT / "out/so101/report.html", pictures / "so101.png")
     draw_flip(pictures / "flip.png")
