@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.diagnosis.made_up import FLIP
+from tests.diagnosis.made_up import FLIP, make_up
 from tests.viz.browser import Browser
 from tests.viz.test_other_rig import CART_POLE
+from vpptwin.cli import demo
 from vpptwin.cli.main import main
 from vpptwin.estimation.replay import Prediction
 from vpptwin.logs.flight import Flight, Stream
@@ -68,6 +69,18 @@ def test_scenes_are_in_step(page: Path, tmp_path: Path) -> None:
         assert browser.evaluate("clock.textContent") == "1.00 / 2.00 s"
         assert browser.complaints == []
         assert [url for url in browser.requests if not url.startswith(("file:", "data:"))] == []
+
+
+def test_the_page_of_the_demo_has_both_twins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The nominal one and the one that the diagnosis wrote, which here is made up; friction is what it adds."""
+    make_up(monkeypatch)
+    monkeypatch.setattr(demo, "DIAGNOSED", ("flip",))
+    monkeypatch.setattr(demo, "show_wall", lambda out: None)
+    demo.show_demo(tmp_path / "out")
+    text = (tmp_path / "out/flip.html").read_text(encoding="utf-8")
+    assert re.findall(r"<figcaption>(.*?)</figcaption>", text) == ["nominal", "twin"]
+    ((before, after),) = re.findall(r"<tr><th>rail_x</th><td>([\d.]+) mm</td><td>([\d.]+) mm</td></tr>", text)
+    assert float(after) < 0.6 * float(before)
 
 
 def test_a_video_has_one_twin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
