@@ -61,7 +61,9 @@ def shorten(session: Session) -> Session:
     return replace(session, motions=(replace(first, duration=min(first.duration, 10.0)),))
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize(
+    "family", [each if each in ("pendulum", "arm") else pytest.param(each, marks=pytest.mark.slow) for each in FAMILIES]
+)
 def test_a_session_can_be_read_and_is_the_same_again(family: str, tmp_path: Path) -> None:
     """Log, MJCF and twin are files that the tool takes; a second recording has the same bytes and the same truth."""
     session, again = (shorten(draw_session(7, FIRST[family])) for _ in range(2))

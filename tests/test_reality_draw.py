@@ -68,6 +68,7 @@ def test_true_size_has_the_tolerance_of_the_rig() -> None:
     assert true_size("command.delay", "delay", 0.01, 5) == 0.01
 
 
+@pytest.mark.slow
 def test_distractors_are_small() -> None:
     """Thrust ripple and gyro wander move a flight of 2 s by less than gusts of 1 % of weight do."""
     calm, small, gusty = fly_many(
@@ -82,6 +83,7 @@ def test_distractors_are_small() -> None:
     assert (moved < 0.5 * blown).all()
 
 
+@pytest.mark.slow
 def test_outliers_are_in_the_log_only() -> None:
     """About one recorded pose in 200 is far off; the flight itself is the same."""
     plain, wild = fly_many([{"manoeuvre": "hover", "duration": 6.0, "seed": 3, "outliers": o} for o in (False, True)])

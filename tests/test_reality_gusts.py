@@ -32,6 +32,7 @@ def test_strength_and_pace_are_as_drawn(kind: str) -> None:
     assert (np.mean([correlate(run, 1500) for run in runs], axis=0) < 0.35).all()  # waves swing back
 
 
+@pytest.mark.slow
 def test_kinds_differ_in_more_than_name() -> None:
     """Bursts are rare and high (kurtosis over 4), waves bounded (below 3); smooth gusts have no kinks."""
     runs = {k: draw_gust(Wind(k, 1.0, 0.3), np.random.default_rng(1), STEPS, NOMINAL)[:, 0] for k in SERIES}
@@ -66,6 +67,7 @@ def test_a_field_is_a_matter_of_place() -> None:
     np.testing.assert_array_equal(field.feel(1.5, here), felt[3])
 
 
+@pytest.mark.slow
 def test_a_flight_feels_its_own_wind() -> None:
     """A flight in a field beside others in a batch flies as it does alone, and truth holds what it felt."""
     plans = [{"manoeuvre": "x_steps", "duration": 2.0, "seed": 4, "wind": Wind(kind, 3.0)} for kind in ("ou", "field")]

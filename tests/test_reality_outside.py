@@ -126,6 +126,7 @@ def test_two_lags_in_a_row() -> None:
     np.testing.assert_array_equal(pitch[:, :, 1], plain[:, :, 0])
 
 
+@pytest.mark.slow
 def test_gyro_feels_acceleration() -> None:
     """The reading is off by gain times what the accelerometer shows beyond 1 g along body z."""
     flights = [fly(effects, "aggressive", 3.0, 7, gusts=False, jitter=False, dropouts=False)

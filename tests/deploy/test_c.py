@@ -42,7 +42,10 @@ def test_actions_are_those_of_torch(shipped: Content, library: Path) -> None:
     assert wanted.std() > 0.2
 
 
-@pytest.mark.parametrize("options", [("setup=VA",), ("setup=TA",), ("setup=PI",), ("setup=All", "paper_inputs=true")])
+@pytest.mark.parametrize("options", [
+    ("setup=VA",), *(pytest.param((setup,), marks=pytest.mark.slow) for setup in ("setup=TA", "setup=PI")),
+    ("setup=All", "paper_inputs=true"),
+])  # fmt: skip
 def test_every_setup_is_observed_as_in_python(options: tuple[str, ...], tmp_path: Path) -> None:
     """Poses turned many times, targets, integrals: observation and integral within float32, and so the action."""
     content = make_random(*options)

@@ -304,7 +304,7 @@ def test_inspect_doubts_it_with_the_scale(tmp_path: Path) -> None:
     assert f"DOUBT: {doubt}" in (tmp_path / "found.yaml").read_text()
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(12.0, ""), (1e-3, "mN m")])
+@pytest.mark.parametrize(("factor", "unit"), [(12.0, ""), pytest.param(1e-3, "mN m", marks=pytest.mark.slow)])
 def test_another_arm_with_hysteresis_and_gears(tmp_path: Path, factor: float, unit: str) -> None:
     """Drawn, with an effect in it that no catalogue has, and gains of its motors in the MJCF."""
     recorded = record_session(draw_session(4711, 10), tmp_path)

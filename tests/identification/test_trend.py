@@ -90,7 +90,7 @@ def test_two_flights_tell_no_trend(number: int) -> None:
     assert found.evidence == -np.inf
 
 
-@pytest.mark.parametrize("number", [3, 5, 8, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [3, 5, *(pytest.param(number, marks=pytest.mark.slow) for number in (8, 20))])
 @pytest.mark.parametrize("scatter", [0.0, 1.0, 3.0, 10.0])
 def test_what_stays_is_hardly_ever_said_to_change(number: int, scatter: float) -> None:
     """In one of a hundred at most (of 300: 6 are two standard errors above), however much flights scatter."""

@@ -65,7 +65,9 @@ FLIPS = (
 """With triggers and full turns under way at any time, and a critic that remembers."""
 
 
-@pytest.mark.parametrize("overrides", [(), FLIPS], ids=["hover", "flip"])
+@pytest.mark.parametrize(
+    "overrides", [pytest.param((), id="hover", marks=pytest.mark.slow), pytest.param(FLIPS, id="flip")]
+)
 def test_interrupted_run_continues_the_same_curve(
     tiny_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overrides: tuple[str, ...]
 ) -> None:
