@@ -19,6 +19,8 @@ from proving.simgap.session import Session
 
 LIMIT = "8m"
 """After so long it says what it has found so far."""
+SILENT = 3e-4
+"""Confidence of a cause of which a verdict says nothing; of public sessions."""
 SECOND = ("rest", "velocity")
 """Second parameters that the common simulator knows."""
 
@@ -79,7 +81,7 @@ def diagnose(session: Session, home: Path) -> tuple[dict[str, float], dict[str, 
     misfit = verdict["misfit"] or {}
     for name in misfit.get("within", []):  # what makes most of an error without leaving its build tolerance
         shares.setdefault(name, 0.5 * misfit["explained"] / len(misfit["within"]))
-    evidence = {n: float(np.log(max(share, 1e-4))) for n, share in shares.items() if n in session.causes}
+    evidence = {name: float(np.log(max(shares.get(name, 0.0), SILENT))) for name in session.causes}
     if verdict["unexplained"]["significant"] or lost:
         evidence[UNKNOWN] = float(np.log(max(lost, 0.5)))
     return evidence, sizes, corrections, str(verdict.get("stopped") or "")

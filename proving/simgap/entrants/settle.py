@@ -14,9 +14,9 @@ from proving.simgap.scores import NOTHING, UNKNOWN, complete_answer, score_log
 
 FILE = Path(__file__).with_name("settings.json")
 GRID = (
-    (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0),  # temperature
-    (-2.0, 0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0),  # of nothing
-    (-3.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0),  # of unknown
+    (0.3, 1.0, 1.5, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0),  # temperature
+    (-4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0),  # of nothing
+    (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0),  # of unknown
 )
 """What is searched."""
 

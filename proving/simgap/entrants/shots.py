@@ -131,7 +131,7 @@ def identify(lab: Lab) -> tuple[dict[str, float], dict[str, list[float]], list[C
             continue
         low, high = bound(lab, cause)
         names.append(cause)
-        found.add(sysid.Parameter(cause, given.off, low, high, modifier=make_modifier(kind, place)))
+        found.add(sysid.Parameter(cause, given.off, low, high, modifier=make_modifier(spec, kind, place)))
     if not names or lab.free:  # its signals of a free joint are not tried
         return {}, {}, []
     starts, controls, measured = [], [], []
@@ -174,22 +174,24 @@ def identify(lab: Lab) -> tuple[dict[str, float], dict[str, list[float]], list[C
     return evidence, sizes, told
 
 
-def make_modifier(kind: str, place: str):  # type: ignore[no-untyped-def]  # noqa: ANN201
-    """What a parameter of a kind changes in the model."""
+def make_modifier(spec, kind: str, place: str):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """What a parameter of a kind changes in the model: from nominal values, as sysid changes the same model again."""
+    if kind == "mass":
+        mass, inertia = spec.body(place).mass, np.array(spec.body(place).inertia)
+    elif kind == "gain":
+        gear = np.array(spec.actuator(place).gear)
+    else:
+        name = {"coulomb": "frictionloss", "viscous": "damping", "inertia": "armature"}[kind]
+        nominal = np.ravel(getattr(spec.joint(place), name)).copy()  # damping is a polynomial of speed
 
     def modify(spec, parameter) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
         value = float(parameter.value[0])
         if kind == "mass":
-            body = spec.body(place)
-            body.inertia = np.array(body.inertia) * (1.0 + value / body.mass)
-            body.mass += value
+            spec.body(place).mass, spec.body(place).inertia = mass + value, inertia * (1.0 + value / mass)
         elif kind == "gain":
-            spec.actuator(place).gear = np.array(spec.actuator(place).gear) * value
+            spec.actuator(place).gear = gear * value
         else:
-            name = {"coulomb": "frictionloss", "viscous": "damping", "inertia": "armature"}[kind]
-            joint = spec.joint(place)
-            now = getattr(joint, name)
-            first = max(float(np.ravel(now)[0]) + value, 0.0)
-            setattr(joint, name, first if np.ndim(now) == 0 else np.array([first, *np.ravel(now)[1:]]))
+            now = np.array([max(nominal[0] + value, 0.0), *nominal[1:]])
+            setattr(spec.joint(place), name, float(now[0]) if len(now) == 1 else now)
 
     return modify
