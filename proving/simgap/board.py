@@ -237,19 +237,21 @@ def draw_pictures(content: Mapping[str, Any], out: Path) -> list[Path]:
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
+    from matplotlib.ticker import NullLocator
 
     marks, titles = "osv^D<>PX*", {name: told["title"] for name, told in content["entrants"].items()}
-    figure, axes = pyplot.subplots(figsize=(6.0, 5.2))
+    figure, axes = pyplot.subplots(figsize=(6.0, 6.2))
     axes.plot([0, 1], [0, 1], color="0.7", zorder=0)
     for (name, curve), mark in zip(content["reliability"].items(), marks):
         if curve and name not in ("nothing", "everything"):
             said, right, _ = zip(*curve)
             axes.plot(said, right, marker=mark, label=titles[name], linewidth=2.5 if name == HOME else 1.0)
     axes.set(xlabel="stated probability", ylabel="share that was true", xlim=(0, 1), ylim=(0, 1))
-    axes.legend(fontsize=7)
+    below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.14), "ncol": 2, "fontsize": 7, "frameon": False}
+    axes.legend(**below)
     figure.tight_layout()
     figure.savefig(out / "reliability.png", dpi=120)
-    figure, axes = pyplot.subplots(figsize=(6.0, 4.4))
+    figure, axes = pyplot.subplots(figsize=(6.0, 5.2))
     for (name, row), mark in zip(content["all"].items(), marks):
         if "seconds" in row and "log" in row:
             value, low, high = row["log"]
@@ -261,7 +263,11 @@ def draw_pictures(content: Mapping[str, Any], out: Path) -> list[Path]:
                 label=titles[name],
             )
     axes.set(xscale="log", xlabel="time of a session [s]", ylabel="log score [nats], less is better")
-    axes.legend(fontsize=7)
+    axes.set_xticks(ticks := [1, 2, 5, 10, 20, 50, 100, 200, 500], [str(t) for t in ticks], minor=False)
+    axes.xaxis.set_minor_locator(NullLocator())
+    times = [row["seconds"][0] for row in content["all"].values() if "seconds" in row]
+    axes.set_xlim(0.7 * min(times, default=1.0), 1.4 * max(times, default=10.0))
+    axes.legend(**below)
     figure.tight_layout()
     figure.savefig(out / "cost.png", dpi=120)
     pyplot.close("all")
