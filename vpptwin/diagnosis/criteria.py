@@ -122,7 +122,7 @@ class Criteria:
     most_confident: float = assumed(0.999, "", "confidence at most", "85fc87b")
     suggested: float = assumed(0.89, "", "confidence at most while something material is unexplained", "aede6c2")
     named: float = assumed(0.1, "", "probability of a cause, or of its kind, below which the extended twin lacks it",
-        "ten rivals that fit alike have as much each")
+        "50287d2, as much as each of ten rivals that fit alike has")
     explained: float = assumed(0.1, "", "share of the held-out excess chi² left from which a cause is but suggested",
         "73d3b90, rigs whose sensors and disturbances are assumed")
     far_off: float = assumed(25.0, "", "held-out chi² left from which a cause is but suggested: five times the noise",
