@@ -224,7 +224,7 @@ def format_board(content: Mapping[str, Any]) -> str:
         for name, rows in content[part].items():
             shown = ("log", "log_group", "first", "confident", "energy", "onset")
             lines += [f"**{name}**", "", *format_table(rows, shown, titles)]
-    lines += ["![Reliability](reliability.png)", "", "![Cost against score](cost.png)", "", "## Entrants", "",
+    lines += ["Pictures beside this page: `reliability.png`, `cost.png`.", "", "## Entrants", "",
               "| entrant | version | limits |", "|---|---|---|",
               *(f"| {t['title']} | {t['version']} | {t['limits']} |" for t in content["entrants"].values()),
               ""]  # fmt: skip
