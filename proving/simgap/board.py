@@ -104,7 +104,7 @@ def write_board(folder: Path, out: Path) -> list[Path]:
         "worlds": split(lambda s, _: s.world), "difficulty": split(lambda _, t: t.difficulty),
         "reliability": {name: find_reliability(given, sessions) for name, given in answers.items()},
     }  # fmt: skip
-    content["against"] = find_faults(scores, sessions)
+    content["against"], content["lead"] = find_faults(scores, sessions), tell_lead(scores)
     out.mkdir(parents=True, exist_ok=True)
     (out / "board.json").write_text(json.dumps(content | {"scores": scores}, indent=1) + "\n")
     (out / "board.md").write_text(format_board(content))
@@ -148,6 +148,20 @@ def find_reliability(
     rows = np.clip(np.digitize(values, BINS) - 1, 0, len(BINS) - 2)
     bins = [rows == b for b in range(len(BINS) - 1) if (rows == b).any()]
     return [(round(float(values[b].mean()), 4), round(float(right[b].mean()), 4), int(b.sum())) for b in bins]
+
+
+def tell_lead(scores: Scores) -> str:
+    """The log score of `HOME` beside that of the best rival, over all sessions with that track."""
+    each = {who: [one["log"] for one in of.values() if "log" in one] for who, of in scores.items()}
+    ours = each.pop(HOME, [])
+    if not ours or not each:
+        return ""
+    best = min(each, key=lambda who: np.mean(each[who]))
+    gap, low, high = compare(ours, each[best])
+    return (
+        f"Over {len(ours)} sessions {HOME} has a log score of {np.mean(ours):.3g}, the best rival, {best}, "
+        f"{np.mean(each[best]):.3g} (difference {gap:+.3g}, {low:+.3g} to {high:+.3g})."
+    )
 
 
 def find_faults(scores: Scores, sessions: Sequence[tuple[Session, Truth]]) -> list[str]:
@@ -211,6 +225,8 @@ def format_board(content: Mapping[str, Any]) -> str:
         f"{content['sessions']} sessions of {seed}, set {content['set_sha256'][:12]}, commit {content['commit']}, "
         f"{content['machine']}. Written by `simgap board`. Brackets: 95 % bootstrap intervals over sessions.", "",
     ]  # fmt: skip
+    if content["lead"]:
+        lines += [content["lead"], ""]
     if content["against"]:
         lines += [
             "## Where vpptwin is not first", "",

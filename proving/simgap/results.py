@@ -19,7 +19,7 @@ from proving.simgap.scores import (
     score_prediction,
     score_sizes,
 )  # fmt: skip
-from proving.simgap.session import Session, Truth
+from proving.simgap.session import HORIZONS, Session, Truth
 
 LIKELY, INTERVAL = 0.5, 0.9
 """Probability from which a cause is said to be there, and share of the samples that an interval holds."""
@@ -106,7 +106,7 @@ def stay(session: Session) -> list[list[list[list[float]]]]:
     last = [
         [float(w.run.columns[c][np.isfinite(w.run.columns[c])][-1]) for c in session.predicted] for w in session.windows
     ]
-    return [[[here] * 10] for here in last]
+    return [[[here] * len(HORIZONS)] for here in last]
 
 
 def score_onset(onset: Mapping[str, Any], end: float, truth: float | None) -> float:

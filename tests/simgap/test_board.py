@@ -80,6 +80,13 @@ def test_scores_by_hand(drawn: Path) -> None:
         assert failed["log"] == pytest.approx(-np.log(MIXED / answers if wrong else share))
 
 
+def test_command_names_the_worlds() -> None:
+    """The command line knows them without importing their simulations."""
+    from proving.simgap import __main__, worlds
+
+    assert list(__main__.WORLDS) == list(worlds.WORLDS)
+
+
 def test_onset_by_hand() -> None:
     """CRPS of a point is its distance; none counts as the end; half a chance is half of each, less their spread."""
     assert score_onset({"probability": 1.0, "times": [4.0]}, 10.0, 6.0) == pytest.approx(0.2)

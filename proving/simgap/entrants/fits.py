@@ -7,7 +7,7 @@ import tempfile
 import numpy as np
 import pinocchio as pin
 
-from proving.simgap.entrants.lab import RATE, SMOOTHED, Correction, Lab
+from proving.simgap.entrants.lab import RATE, SMOOTHED, Correction, Lab, kind_of
 
 TEXTBOOK = ("coulomb", "viscous", "drag", "bias", "spring", "inertia", "gain", "wind", "twist", "mass")
 """Kinds that a spreadsheet plots a residual force against."""
@@ -29,25 +29,22 @@ def fit_spreadsheet(lab: Lab) -> tuple[dict[str, float], dict[str, list[float]],
     evidence, sizes, best = {}, {}, (0.0, Correction("", 0.0))
     target = (lacking / noise).ravel()
     for cause, push in pushes.items():
-        if Correction(cause, 0.0).kind not in TEXTBOOK:
+        if kind_of(cause) not in TEXTBOOK:
             continue
-        column = (push / noise).ravel()
-        spring = Correction(cause, 0.0).kind == "spring"
+        column, spring = (push / noise).ravel(), kind_of(cause) == "spring"
         beside = [(np.abs(push).max(axis=0) > 0.0) / noise + 0.0 * lacking] if spring else []
         design = np.stack([column, *(b.ravel() for b in beside)], axis=1)
         fitted = np.linalg.lstsq(design, target, rcond=None)[0]
         left, before = float(np.sum((target - design @ fitted) ** 2)), float(target @ target)
-        rows = push.any(axis=1).sum() or 1
-        worth = 0.5 * count * lab.model.nv * np.log(before / max(left, 1e-12 * before)) - 0.5 * np.log(count) * len(
-            fitted
-        )
+        likelier = 0.5 * count * lab.model.nv * np.log(before / max(left, 1e-12 * before))
+        worth = likelier - 0.5 * np.log(count) * len(fitted)
         size, off = float(fitted[0]), lab.session.causes[cause].off
-        if Correction(cause, 0.0).kind in ("coulomb", "viscous", "drag", "spring") and size < 0.0:
+        if kind_of(cause) in ("coulomb", "viscous", "drag", "spring") and size < 0.0:
             worth = -1.0
         std = float(np.sqrt(left / len(target) / max(float(column @ column), 1e-30) * MEMORY * RATE))
         evidence[cause], sizes[cause] = worth, draw_sizes(rng, off + size, std)
         rest = float(np.mean([m.q[:, lab.dof(cause.split(".")[0])].mean() for m in lab.motions])) if spring else 0.0
-        other = rest + float(fitted[1]) / size if spring and size > 0.0 and rows else 0.0
+        other = rest + float(fitted[1]) / size if spring and size > 0.0 else 0.0
         if worth > best[0]:
             best = worth, Correction(cause, off + size, other)
     return evidence, sizes, [best[1]] if best[1].cause else []
@@ -57,7 +54,7 @@ def fit_regressor(lab: Lab) -> tuple[dict[str, float], dict[str, list[float]], l
     """All base parameters, friction and drive gains at once; evidence is half of a change's squared standard score.
 
     Links' inertial parameters are Pinocchio's, as changes from the nominal; a change of them counts as `inertia` of the
-    joint that carries the link. Columns that others make up are dropped by a pivoted QR.
+    joint that carries the link. Columns that others make up are dropped (`pick_independent`).
     """
     model = lab.model
     with tempfile.NamedTemporaryFile("w", suffix=".xml") as file:
@@ -78,7 +75,7 @@ def fit_regressor(lab: Lab) -> tuple[dict[str, float], dict[str, list[float]], l
     owners = [f"{joints[k // 10]}.inertia" for k in range(inertial.shape[2])]
     columns = [(owner, -inertial[:, :, k]) for k, owner in enumerate(owners)]
     for cause, push in pushes.items():
-        if Correction(cause, 0.0).kind in ("coulomb", "viscous", "bias", "gain", "inertia"):
+        if kind_of(cause) in ("coulomb", "viscous", "bias", "gain", "inertia"):
             columns.append((cause, push))
     design = np.stack([(c / noise).ravel() for _, c in columns], axis=1)
     target, scale = (lacking / noise).ravel(), np.linalg.norm(design, axis=0)

@@ -70,12 +70,17 @@ class Correction:
     @property
     def kind(self) -> str:
         """Its law."""
-        return re.split("[.:]", self.cause)[1]
+        return kind_of(self.cause)
 
     @property
     def axis(self) -> int:
         """0, 1 or 2, of what has one."""
         return "xyz".index(self.cause[-1]) if ":" in self.cause else 0
+
+
+def kind_of(cause: str) -> str:
+    """The law of a cause, by its id: PLACE.KIND, or PLACE.KIND:AXIS."""
+    return re.split("[.:]", cause)[1]
 
 
 class Lab:
@@ -84,8 +89,7 @@ class Lab:
     def __init__(self, session: Session) -> None:
         self.session = session
         mujoco.set_mju_user_warning(lambda message: None)  # of simulations that fail, which count as that
-        self.model = mujoco.MjModel.from_xml_string(session.model)
-        self.model.opt.timestep, self.model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        self.model = self.correct(())
         self.positions = [(column, self.joint(of)) for of, column in session.find("position").items()]
         self.pose = [session.find(part) for part in ("x", "y", "z", "qw", "qx", "qy", "qz")]
         self.commands = [session.find("command")[self.model.actuator(i).name] for i in range(self.model.nu)]

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from proving.simgap.entrants.fits import draw_sizes
-from proving.simgap.entrants.lab import STEP, Correction, Lab
+from proving.simgap.entrants.lab import STEP, Correction, Lab, kind_of
 from proving.simgap.session import HISTORY, HORIZONS
 
 SPAN = 4.0
@@ -26,7 +26,7 @@ def measure(lab: Lab, corrections: list[Correction], few: int = 12) -> float:
 
 def bound(lab: Lab, cause: str) -> tuple[float, float]:
     """Where a size is searched."""
-    given, kind = lab.session.causes[cause], Correction(cause, 0.0).kind
+    given, kind = lab.session.causes[cause], kind_of(cause)
     if kind in ("saturation", "rate_limit", "force_limit"):
         return 0.05 * given.off, given.off
     low = given.off if kind in POSITIVE else given.off - SPAN * given.scale
@@ -45,9 +45,9 @@ def rank(lab: Lab) -> tuple[dict[str, float], dict[str, list[float]], list[Corre
     evidence, sizes, best = {}, {}, (0.0, Correction("", 0.0))
     rng = np.random.default_rng(0)
     for cause in lab.session.causes:
-        if Correction(cause, 0.0).kind in NOT:
+        if kind_of(cause) in NOT:
             continue
-        rest = {"other": spring_rest(lab, cause)} if Correction(cause, 0.0).kind in ("spring", "stiction") else {}
+        rest = {"other": spring_rest(lab, cause)} if kind_of(cause) in ("spring", "stiction") else {}
         low, high = bound(lab, cause)
 
         def error(size: float, cause: str = cause, rest: dict[str, float] = rest) -> float:
@@ -69,7 +69,7 @@ def rank(lab: Lab) -> tuple[dict[str, float], dict[str, list[float]], list[Corre
 def spring_rest(lab: Lab, cause: str) -> float:
     """Where a spring rests: the mean position; of breakaway friction, a tenth of the rms speed."""
     j = lab.dof(Correction(cause, 0.0).place)
-    if Correction(cause, 0.0).kind == "stiction":
+    if kind_of(cause) == "stiction":
         return 0.1 * float(np.sqrt(np.mean(np.concatenate([m.v[:, j] for m in lab.motions]) ** 2)))
     return float(np.mean(np.concatenate([m.q[:, j] for m in lab.motions])))
 
@@ -85,7 +85,7 @@ def evolve(lab: Lab, evaluations: int = 600) -> tuple[dict[str, float], dict[str
     """
     import cma
 
-    names = [c for c in lab.session.causes if Correction(c, 0.0).kind in PACE]
+    names = [c for c in lab.session.causes if kind_of(c) in PACE]
     if not names:
         return {}, {}, []
     causes = [lab.session.causes[name] for name in names]
@@ -126,7 +126,7 @@ def identify(lab: Lab) -> tuple[dict[str, float], dict[str, list[float]], list[C
     spec.option.timestep = STEP
     model, found, names = spec.compile(), sysid.ParameterDict(), []
     for cause, given in lab.session.causes.items():
-        kind, place = Correction(cause, 0.0).kind, Correction(cause, 0.0).place
+        kind, place = kind_of(cause), Correction(cause, 0.0).place
         if kind not in ("coulomb", "viscous", "inertia", "gain", "mass") or "+" in place:
             continue
         low, high = bound(lab, cause)

@@ -20,7 +20,8 @@ from urllib.request import urlopen
 import numpy as np
 
 from proving.logs import Log, Stream
-from proving.simgap.session import Cause, write_session
+from proving.simgap.session import Cause, Truth, write_session
+from proving.simgap.sets import add_to_manifest
 from proving.simgap.worlds import LAWS, PLAIN, UNITS, assemble
 
 HERE = Path(__file__).parent
@@ -37,9 +38,6 @@ def write_measured(folder: Path, data: Path | None) -> list[str]:
     Raises:
         ValueError: where a file is neither there nor can be fetched, or is another one.
     """
-    from proving.simgap.session import Truth
-    from proving.simgap.sets import add_to_manifest
-
     local = {hashlib.sha256(p.read_bytes()).hexdigest(): p for p in data.rglob("*.csv")} if data else {}
     names = []
     for entry in json.loads((HERE / "manifest.json").read_text()):
