@@ -247,6 +247,33 @@ def test_shipped_examples_pass(twin: str, pattern: str, shared_data: Path) -> No
         vet(spec, read_flight(log, signals=spec.robot.signals.entries))
 
 
+@pytest.mark.parametrize(("wall", "refused"), [("5 0.1 0.1", True), ("0.1 5 0.1", False)])
+def test_parts_that_lie_in_each_other_are_refused(tmp_path: Path, wall: str, refused: bool) -> None:
+    """A cart all along within its rail's geom is held by the solver; one that meets a wall at times is not refused."""
+    case = write_kind("sweep", 1, tmp_path)
+    model = tmp_path / "rig.xml"
+    text = model.read_text().replace("<worldbody>", f'<worldbody><geom type="box" size="{wall}" pos="2 0 0.1"/>')
+    model.write_text(text.replace("<inertial", '<geom type="box" size="0.1 0.05 0.05"/><inertial'))
+    spec = load_twin(tmp_path / "twin.yaml")
+    flight = read_flight(case.logs[0], signals=spec.robot.signals.entries)
+    if not refused:
+        vet(spec, flight)
+        return
+    with pytest.raises(InputError, match="world and body lie .* in each other .*exclude"):
+        vet(spec, flight)
+    with take_as_is():
+        vet(spec, flight)
+        assert any("in each other" in told for told in list_overruled())
+
+
+def test_columns_with_one_mistake_are_named_together() -> None:
+    """Both targets in degrees are one refusal with both lines."""
+    spec, flight = load_case("servo")
+    with pytest.raises(InputError) as refused:
+        vet(spec, scale("actuators", DEGREES, "effort")(spec, flight))
+    assert str(refused.value).count("unit: deg") == len(spec.robot.signals.actuators)
+
+
 @pytest.mark.parametrize(("effect", "values"), [
     ("motor.gain", {"gain": 0.4}), ("motor.gain", {"gain": 2.5}), ("slide.viscous", {"damping": 30.0}),
     ("slide.inertia", {"mass": 5.0}),

@@ -192,6 +192,7 @@ TARGETS = [
     ("position", {"arm_pos": DELAYED, "arm_target_pos": np.interp(TIME + 0.1, TIME, DELAYED)}, True, "by 100 ms"),
     ("position", {"arm_pos": DELAYED, "arm_target_pos": np.interp(TIME - 0.2, TIME, SWING)}, False, "by -120 ms"),
     ("position", {"arm_deg": np.rad2deg(DELAYED), "arm_cmd_deg": np.rad2deg(SWING)}, True, "is in deg"),
+    ("position", {"arm_pos": DELAYED, "arm_cmd": np.rad2deg(SWING)}, True, "so in deg"),
     ("velocity", {"arm": SWING, "arm_target": RATE}, True, "arm_target is "),
     ("velocity", {"arm": SWING, "arm_target": -RATE}, False, "arm_target is "),
 ]
@@ -205,7 +206,7 @@ def test_targets_are_held_against_what_follows_them(
     servo = guess(tmp_path, columns, kind, arm=LIMITS)["arm!"]
     assert (servo.fields["effort"].label, servo.sure) == (list(columns)[1], sure), (servo.reasons, servo.doubts)
     assert part in say(servo)
-    assert servo.units == ({"effort": "deg"} if "arm_deg" in columns else {})
+    assert servo.units == ({"effort": "deg"} if "deg" in part else {})
 
 
 def test_commands_are_held_against_ranges_in_their_unit(tmp_path: Path) -> None:
@@ -215,6 +216,16 @@ def test_commands_are_held_against_ranges_in_their_unit(tmp_path: Path) -> None:
     columns = {"time": TIME, "arm_pos": SWING, "arm_thrust_cmd_gf": 1000.0 * RATE / np.abs(RATE).max()}
     motor = guess_signals(mujoco.MjModel.from_xml_path(str(path)), survey(write_log(tmp_path / "l.csv", columns))[1])[1]
     assert (motor.units, motor.doubts) == ({"effort": "gf"}, [])
+
+
+@pytest.mark.parametrize(("gear", "sure"), [(50.0, True), (1.0, False)])
+def test_a_motor_with_a_pulley_is_logged_as_torque(tmp_path: Path, gear: float, sure: bool) -> None:
+    """Or by a screw: its gear makes a force of it; without a gear a torque on a slide is a doubt."""
+    path = write_model(tmp_path / "m.xml", {"arm": None}, "motor", slide=True)
+    path.write_text(path.read_text().replace("<motor ", f"<motor gear='{gear}' "))
+    columns = {"time": TIME, "arm_pos_mm": SWING, "arm_torque_cmd_Nm": RATE}
+    motor = guess_signals(mujoco.MjModel.from_xml_path(str(path)), survey(write_log(tmp_path / "l.csv", columns))[1])[1]
+    assert (motor.sure, motor.units) == (sure, {}), motor.doubts
 
 
 def test_the_topic_tells_what_numbers_without_names_are(tmp_path: Path) -> None:

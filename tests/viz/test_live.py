@@ -12,14 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import umsgpack
 from PIL import Image
 
 from tests.viz.browser import Browser
 from tests.viz.server import serve
 from vpptwin.cli.main import main
-from vpptwin.robots.planar_drone.display.live import KEYS, LivePage
+from vpptwin.robots.planar_drone.display.live import KEYS, LivePage, fly_live
+from vpptwin.system.errors import InputError
 from vpptwin.train.env.observe import wrap_angle
 from vpptwin.train.evaluate.live import KICK, LiveFlight
+from vpptwin.viz.pages.serve import Server
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +130,25 @@ def test_the_page_takes_commands_and_tells_the_state(panel: LivePage) -> None:
             ask(address, body)
     assert panel.asked.empty()
     assert panel.server.address.startswith("http://127.0.0.1:")
+
+
+def test_the_craft_is_there_before_the_policy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever opens the page sees it upright in the air, while torch is loaded."""
+    opened: list[Server] = []
+    monkeypatch.setattr(
+        "vpptwin.robots.planar_drone.display.live.tell_address", lambda server, _: opened.append(server)
+    )
+
+    def begin() -> LiveFlight:
+        raise InputError("no policy", "one", "train it")
+
+    with pytest.raises(InputError, match="no policy"):
+        fly_live(begin)
+    time.sleep(0.5)  # the server's thread takes what it was sent
+    kept = [umsgpack.unpackb(message) for message in list(opened[0]._kept.values())]
+    assert any(message["type"] == "set_object" and "/rig/log" in message["path"] for message in kept)
+    moved = {m["path"]: m["matrix"][12:15] for m in kept if m["type"] == "set_transform" and "/rig/log" in m["path"]}
+    assert any(np.allclose(place, [0.0, 0.0, 1.0]) for place in moved.values()), moved
 
 
 @pytest.mark.browser

@@ -6,6 +6,8 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +16,7 @@ from vpptwin.system.files import STDOUT, check_own, check_target, without_nan
 
 if TYPE_CHECKING:
     from vpptwin.robots.planar_drone.pilot.flight import Pilot
+    from vpptwin.train.evaluate.live import LiveFlight
 
 
 def run_demo(options: argparse.Namespace) -> None:
@@ -102,9 +105,17 @@ def run_play(options: argparse.Namespace) -> None:
 
     need_checkpoint(options.live)
     from vpptwin.robots.planar_drone.display.live import fly_live
+
+    if find_spec("torch") is None:  # told before a page opens
+        raise ModuleNotFoundError("torch", name="torch")
+    fly_live(partial(begin_live, options.live), options.host, options.port)
+
+
+def begin_live(checkpoint: Path) -> LiveFlight:
+    """A policy that flies, once torch is loaded."""
     from vpptwin.train.evaluate.live import LiveFlight
 
-    fly_live(LiveFlight(options.live), options.host, options.port)
+    return LiveFlight(checkpoint)
 
 
 def run_plot(options: argparse.Namespace) -> None:

@@ -31,6 +31,8 @@ from vpptwin.mapping.words import (
 from vpptwin.system.fields import UNITS, UNSAID
 from vpptwin.twin.robot.actuation import tell_control
 
+NEAR_UNIT = 1.2
+"""Within this factor of a unit a target is in it: what follows a target may fall short of it."""
 SLOPE = 0.8
 """Correlation of a velocity with the slope of its position below which they are strangers."""
 ALIKE = 0.95
@@ -341,10 +343,26 @@ def check_unit(guess: Guess, quantity: str, signal: Signal, expected: str) -> di
     return {}
 
 
-def tell_force(model: mujoco.MjModel, actuator: int) -> str:
-    """SI unit of what an actuator makes on a joint or at a site; "" where its transmission decides."""
+def tell_target_unit(guess: Guess, command: Signal, moved: Signal, length: str) -> dict[str, str]:
+    """The unit in which a target is as large as the motion that follows it, where that is not SI."""
+    correlation, _ = compare_lag(command, moved)
+    size = float(np.nanstd(command.values)) / max(float(np.nanstd(moved.values)), 1e-300)
+    for unit in ("deg",) if length == "rad" else ("mm", "cm"):
+        if correlation > SLOPE and abs(np.log(max(size * UNITS[unit][1], 1e-300))) < np.log(NEAR_UNIT):
+            guess.reasons.append(f"{command.label} is {size:.3g} times what follows it, so in {unit}")
+            return {"effort": unit}
+    return {}
+
+
+def tell_force(model: mujoco.MjModel, actuator: int, unit: str) -> str:
+    """SI unit of what an actuator makes on a joint or at a site; "" where its transmission decides.
+
+    A motor that moves a slide by a pulley or a screw, its gear, may be logged as the torque that the `unit` says.
+    """
     if moved := find_moved(model, actuator):
-        return "N m" if name_length(model, model.joint(moved).id) == "rad" else "N"
+        torque = name_length(model, model.joint(moved).id) == "rad"
+        geared = abs(model.actuator_gear[actuator, 0]) != 1.0 and UNITS.get(unit, ("",))[0] == "N m"
+        return "N m" if torque or geared else "N"
     at_site = model.actuator_trntype[actuator] == int(mujoco.mjtTrn.mjTRN_SITE)
     return ("N" if model.actuator_gear[actuator, :3].any() else "N m") if at_site else ""
 
@@ -381,8 +399,10 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
     if kind == "position" and model.actuator_trntype[actuator] == 0 and model.actuator_gear[actuator, 0] == 1.0:
         length = name_length(model, model.actuator_trnid[actuator, 0])
         guess.units |= check_unit(guess, "effort", command, length)
+        if not command.unit and moved is not None:
+            guess.units |= tell_target_unit(guess, command, moved, length)
     raw = kind == "effort" and (tell_quantity(command) == "drive" or is_spin(command))
-    if kind == "effort" and not raw and (force := tell_force(model, actuator)):
+    if kind == "effort" and not raw and (force := tell_force(model, actuator, command.unit)):
         guess.units |= check_unit(guess, "effort", command, force)
     unit = guess.units.get("effort", length)
     known, scale = np.isfinite(command.values), UNITS[unit][1] if unit else 1.0

@@ -8,7 +8,7 @@ from contextvars import ContextVar
 
 from vpptwin.system.errors import InputError
 
-AS_IS = "or say --as-is (Python: as_is=True) to go on with the columns as they are"
+AS_IS = "or say --as-is (Python: as_is=True) to go on as it is"
 _overruled: ContextVar[dict[str, None] | None] = ContextVar("overruled", default=None)
 
 

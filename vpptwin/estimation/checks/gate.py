@@ -1,16 +1,18 @@
 """Before a twin stands beside a log: does another unit, sign or order of its columns explain the motion far better?
 
-Three tests. A joint's velocity is the slope of its position. A joint that a servo drives follows its target. A joint
-that a force drives moves as the MJCF's inertia, weight and friction ask for. Columns are refused where they contradict
-that as they are read, whatever gain or load would be wrong within reason, and where one other reading agrees with it.
-What is merely explained badly is left for the diagnosis.
+Four tests. A joint's velocity is the slope of its position. A joint that a servo drives follows its target. A joint
+that a force drives moves as the MJCF's inertia, weight and friction ask for. Parts of the MJCF touch at most. Columns
+are refused where they contradict that as they are read, whatever gain or load would be wrong within reason, and where
+one other reading agrees with it. What is merely explained badly is left for the diagnosis.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from vpptwin.estimation.checks.balance import compare_forces
+from vpptwin.estimation.checks.overlap import refuse_overlap
 from vpptwin.estimation.checks.readings import Misread, compose_entry, locate_line, name_columns
 from vpptwin.estimation.checks.slopes import compare_ranges, compare_slopes, compare_targets
 from vpptwin.estimation.series import Measurements
@@ -35,13 +37,29 @@ def check_columns(spec: TwinSpec, flights: Sequence[Flight], measurements: Seque
         return
     for flight in flights:
         for test in (compare_slopes, compare_targets, compare_ranges):
-            misread = next(test(spec, flight), None)
+            misread = join_alike(test(spec, flight))
             if misread is not None:
                 object_to(compose_error(spec, flight, misread))
                 break
     flight, misread = compare_forces(spec, flights, measurements)
     if misread is not None:
         object_to(compose_error(spec, flight, misread))
+    refuse_overlap(spec, measurements)
+
+
+def join_alike(found: Iterable[Misread]) -> Misread | None:
+    """The first column that looks misread, with all others that look the same; None where none does."""
+    first, *others = [*found] or [None]
+    if first is None or "exchanged" in first.reading.looks:
+        return first
+    look = first.reading.looks, first.reading.expected
+    alike = [o.reading for o in others if o is not None and (o.reading.looks, o.reading.expected) == look]
+    known, changes = {change.column for change in first.reading.changes}, list(first.reading.changes)
+    for change in (change for reading in alike for change in reading.changes):
+        if change.column not in known:
+            known.add(change.column)
+            changes.append(change)
+    return Misread(replace(first.reading, changes=tuple(changes)), first.why)
 
 
 def compose_error(spec: TwinSpec, flight: Flight, misread: Misread) -> InputError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
@@ -21,6 +21,7 @@ from vpptwin.robots.planar_drone.display.rotors import RotorMotion, find_craft, 
 from vpptwin.robots.planar_drone.display.scene import BLADES, draw_arrows, draw_ghost, draw_rotors, measure_arrows
 from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.system.signals import until_interrupted
+from vpptwin.twin.spec import load_twin
 from vpptwin.viz.pages.browse import tell_address
 from vpptwin.viz.pages.page import TEMPLATES
 from vpptwin.viz.pages.serve import LOOPBACK, Answer, Server, keep_going
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from vpptwin.train.evaluate.live import LiveFlight
 
 VIEW = CameraView(np.array([0.1, 0.0, 1.25]), 1.35)
+START = np.array([0.0, 1.0, 0.0])
+"""Where the craft stands until its policy flies it: x, z, θ (3,) m, m, rad."""
 FRAME = 0.025
 """Time between pictures, s."""
 KEYS = {
@@ -122,32 +125,46 @@ class LivePage:
         self.server = Server(host, gets, {"": ask}, port)
 
 
-def fly_live(flight: LiveFlight, host: str = LOOPBACK, port: int = 0) -> None:
-    """Fly in real time until Ctrl-C, and print where to look: a page on an address of this machine."""
-    env, vehicle = flight.env, flight.env.twin.vehicle
-    panel = LivePage(flight.commands, host, port)
+def fly_live(begin: Callable[[], LiveFlight], host: str = LOOPBACK, port: int = 0) -> None:
+    """Fly in real time until Ctrl-C, and print where to look: a page on an address of this machine.
+
+    The craft is on it before `begin` has read the policy and the first step is compiled, which takes a while.
+    """
+    panel = LivePage(KEYS.values(), host, port)
     with until_interrupted(), closing(panel.server):
-        stage = LiveStage(Visualizer(window=panel.server), env.twin.spec.model, vehicle)
+        spec, still = load_twin("nominal"), RotorMotion(*np.zeros((3, 1, 2)))
+        LiveStage(Visualizer(window=panel.server), spec.model, spec.vehicle).show(START, START, still)
         about = "shows the flight, with buttons and keys to flip and push it. Ctrl-C here to end."
         tell_address(panel.server, about)
-        angle, redraw, due = np.zeros(2), 0.0, time.perf_counter()
-        for _ in keep_going():
-            while not panel.asked.empty():  # only this loop takes from it
-                flight.commands[panel.asked.get()]()
-            flight.step()
-            panel.state = flight.tell()
-            actuators = env.state.actuators
-            speed, pitch = actuators["rotor_speed"][0], actuators["blade"][0]
-            angle += speed * flight.period
-            due += flight.period
-            now = time.perf_counter()
-            if now >= redraw:
-                thrust = compute_thrust(vehicle.rotor, speed, pitch)
-                motion = RotorMotion(*(part[None] for part in (angle, pitch, thrust)))
-                stage.show(env.state.qpos[0], env.episodes.target[0], motion)
-                # Drawing takes half of the time at most: the flight is to keep pace with the clock.
-                redraw = max(now + FRAME, 2.0 * time.perf_counter() - now)
-            if due > now:
-                time.sleep(due - now)
-            elif now - due > 0.5:
-                due = now  # a machine too slow for real time does not hurry afterwards
+        flight = begin()
+        flight.step()
+        while not panel.asked.empty():  # of a craft that did not fly yet
+            panel.asked.get()
+        fly_on(flight, panel)
+
+
+def fly_on(flight: LiveFlight, panel: LivePage) -> None:
+    """Fly what has begun, on a page that is open."""
+    env, vehicle = flight.env, flight.env.twin.vehicle
+    stage = LiveStage(Visualizer(window=panel.server), env.twin.spec.model, vehicle)
+    angle, redraw, due = np.zeros(2), 0.0, time.perf_counter()
+    for _ in keep_going():
+        while not panel.asked.empty():  # only this loop takes from it
+            flight.commands[panel.asked.get()]()
+        flight.step()
+        panel.state = flight.tell()
+        actuators = env.state.actuators
+        speed, pitch = actuators["rotor_speed"][0], actuators["blade"][0]
+        angle += speed * flight.period
+        due += flight.period
+        now = time.perf_counter()
+        if now >= redraw:
+            thrust = compute_thrust(vehicle.rotor, speed, pitch)
+            motion = RotorMotion(*(part[None] for part in (angle, pitch, thrust)))
+            stage.show(env.state.qpos[0], env.episodes.target[0], motion)
+            # Drawing takes half of the time at most: the flight is to keep pace with the clock.
+            redraw = max(now + FRAME, 2.0 * time.perf_counter() - now)
+        if due > now:
+            time.sleep(due - now)
+        elif now - due > 0.5:
+            due = now  # a machine too slow for real time does not hurry afterwards
