@@ -259,7 +259,7 @@ def test_parts_that_lie_in_each_other_are_refused(tmp_path: Path, wall: str, ref
     if not refused:
         vet(spec, flight)
         return
-    with pytest.raises(InputError, match="world and body lie .* in each other .*exclude"):
+    with pytest.raises(InputError, match=r"world and body lie .* in each other .*exclude"):
         vet(spec, flight)
     with take_as_is():
         vet(spec, flight)
