@@ -49,11 +49,11 @@ def check_columns(spec: TwinSpec, flights: Sequence[Flight], measurements: Seque
 
 def join_alike(found: Iterable[Misread]) -> Misread | None:
     """The first column that looks misread, with all others that look the same; None where none does."""
-    first, *others = [*found] or [None]
-    if first is None or "exchanged" in first.reading.looks:
-        return first
-    look = first.reading.looks, first.reading.expected
-    alike = [o.reading for o in others if o is not None and (o.reading.looks, o.reading.expected) == look]
+    misread = list(found)
+    if not misread or "exchanged" in misread[0].reading.looks:
+        return next(iter(misread), None)
+    first, look = misread[0], (misread[0].reading.looks, misread[0].reading.expected)
+    alike = [each.reading for each in misread if (each.reading.looks, each.reading.expected) == look]
     known, changes = {change.column for change in first.reading.changes}, list(first.reading.changes)
     for change in (change for reading in alike for change in reading.changes):
         if change.column not in known:
