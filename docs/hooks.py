@@ -23,12 +23,14 @@ def list_outside() -> list[str]:
     """Paths, relative to the repository, of pages outside docs and of all that pages link to outside docs."""
     examples = [page.relative_to(ROOT).as_posix() for page in ROOT.glob("examples/*/README.md")]
     pages = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", *examples]
-    found = set(pages)
-    for page in [*pages, *(p.relative_to(ROOT).as_posix() for p in ROOT.glob("docs/**/*.md"))]:
+    found, unread = set(pages), [*pages, *(p.relative_to(ROOT).as_posix() for p in ROOT.glob("docs/**/*.md"))]
+    while unread:
+        page = unread.pop()
         for _, link, _ in LINK.findall((ROOT / page).read_text(encoding="utf-8")):
             target = posixpath.normpath(posixpath.join(posixpath.dirname(page), link))
-            if not target.startswith("docs/") and (ROOT / target).is_file():
+            if not target.startswith("docs/") and (ROOT / target).is_file() and target not in found:
                 found.add(target)
+                unread += [target] if target.endswith(".md") else []
     return sorted(found)
 
 

@@ -8,7 +8,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-WORLDS = ("drones", "carts", "pendula", "cart-poles", "double-pendula", "arms", "servos", "quadrotors", "watched")
+WORLDS = (
+    "drones", "carts", "pendula", "cart-poles", "double-pendula", "arms", "servos", "quadrotors", "watched",
+)  # fmt: skip
 """Of worlds.py, which takes seconds to import."""
 
 
@@ -24,8 +26,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     draw.add_argument(
         "--secret", action="store_true", help="draw a seed too; it is printed once, and only its hash is kept"
     )
-    draw.add_argument("--worlds", default=",".join(WORLDS), help="default: %(default)s")
-    draw.add_argument("--numbers", default="0:12", help="of sessions of each world, default: %(default)s")
+    draw.add_argument(
+        "--numbers", default="0:12", metavar="NUMBERS",
+        help=f"of sessions, of every world (0:12, the default) or of some (carts=0:6,arms=3), of {', '.join(WORLDS)}",
+    )  # fmt: skip
     draw.add_argument("--lerobot", action="store_true", help="runs as LeRobot data sets too (needs pyarrow)")
     measured = commands.add_parser("measured", help="write the sessions with measured data, which are scored apart")
     measured.add_argument("folder", type=Path)
@@ -63,17 +67,31 @@ def run_draw(given: argparse.Namespace) -> int:
     """Draw a set."""
     from proving.simgap.sets import draw_seed, draw_set, hash_set, read_manifest
 
-    worlds = given.worlds.split(",")
-    if strange := sorted(set(worlds) - set(WORLDS)):
-        raise ValueError(f"no world {', '.join(strange)}: there are {', '.join(WORLDS)}")
-    first, _, last = given.numbers.partition(":")
-    numbers = range(int(first), int(last)) if last else [int(first)]
     seed = draw_seed() if given.secret else 1 if given.seed is None else given.seed
-    draw_set(given.folder, seed, dict.fromkeys(worlds, numbers), not given.secret, given.lerobot)
+    draw_set(given.folder, seed, read_numbers(given.numbers), not given.secret, given.lerobot)
     manifest = read_manifest(given.folder)
     secret = f"; the seed is {seed}: keep it, it is written nowhere" if given.secret else ""
     print(f"{len(manifest['sessions'])} sessions in {given.folder}, hash {hash_set(manifest)}{secret}")
     return 0
+
+
+def read_numbers(text: str) -> dict[str, list[int]]:
+    """World → numbers of sessions.
+
+    Raises:
+        ValueError: where a world is unknown, or numbers are none.
+    """
+    found: dict[str, list[int]] = {}
+    for part in text.split(","):
+        world, _, numbers = part.rpartition("=")
+        first, _, last = numbers.partition(":")
+        if not first.isdigit() or not (last or first).isdigit():
+            raise ValueError(f"numbers {part!r}: write 0:12 for all worlds, or carts=0:6,arms=3")
+        if world and world not in WORLDS:
+            raise ValueError(f"no world {world}: there are {', '.join(WORLDS)}")
+        for name in [world] if world else WORLDS:
+            found.setdefault(name, []).extend(range(int(first), int(last or int(first) + 1)))
+    return found
 
 
 def run_measured(given: argparse.Namespace) -> int:

@@ -240,7 +240,8 @@ def format_board(content: Mapping[str, Any]) -> str:
         for name, rows in content[part].items():
             shown = ("log", "log_group", "first", "confident", "energy", "onset")
             lines += [f"**{name}**", "", *format_table(rows, shown, titles)]
-    lines += ["Pictures beside this page: `reliability.png`, `cost.png`.", "", "## Entrants", "",
+    lines += ["![Share that was true against stated probability](reliability.png)", "",
+              "![Log score against time](cost.png)", "", "## Entrants", "",
               "| entrant | version | limits |", "|---|---|---|",
               *(f"| {t['title']} | {t['version']} | {t['limits']} |" for t in content["entrants"].values()),
               ""]  # fmt: skip

@@ -34,7 +34,7 @@ json.dump(answer, out.open("w"))
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two carts and a watched rig, answered by a baseline, by the spreadsheet and by a program of somebody else."""
     folder = tmp_path_factory.mktemp("board") / "set"
-    assert main(["draw", str(folder), "--seed", "7", "--worlds", "carts,watched", "--numbers", "0:2"]) == 0
+    assert main(["draw", str(folder), "--seed", "7", "--numbers", "carts=0:2,watched=0:2"]) == 0
     tool = folder / "tool.py"
     tool.write_text(TOOL)
     command = f"{sys.executable} {tool} {{session}} {{answer}}"
@@ -81,10 +81,12 @@ def test_scores_by_hand(drawn: Path) -> None:
 
 
 def test_command_names_the_worlds() -> None:
-    """The command line knows them without importing their simulations."""
+    """The command line knows them without importing their simulations, and takes numbers of each."""
     from proving.simgap import __main__, worlds
 
     assert list(__main__.WORLDS) == list(worlds.WORLDS)
+    assert __main__.read_numbers("0:2") == {world: [0, 1] for world in worlds.WORLDS}
+    assert __main__.read_numbers("carts=0:2,arms=3,carts=5") == {"carts": [0, 1, 5], "arms": [3]}
 
 
 def test_onset_by_hand() -> None:
@@ -92,6 +94,20 @@ def test_onset_by_hand() -> None:
     assert score_onset({"probability": 1.0, "times": [4.0]}, 10.0, 6.0) == pytest.approx(0.2)
     assert score_onset({"probability": 0.0}, 10.0, None) == pytest.approx(0.0)
     assert score_onset({"probability": 0.5, "times": [6.0]}, 10.0, 6.0) == pytest.approx(0.2 - 0.5 * 0.5 * 0.4)
+
+
+def test_vpptwin_watches(tmp_path: Path) -> None:
+    """What sets in is found to a tenth of a second; where nothing does, it is thought improbable."""
+    from proving.simgap.entrants.onset import find_onset
+
+    assert main(["draw", str(tmp_path), "--numbers", "watched=0,watched=8"]) == 0
+    for home in list_sessions(tmp_path):
+        told, truth = find_onset(read_session(home), home), read_truth(tmp_path, home)
+        if truth.onset is None:
+            assert told["probability"] < 0.1
+        else:
+            assert told["probability"] > 0.9
+            assert np.median(told["times"]) == pytest.approx(truth.onset, abs=0.1)
 
 
 def test_settings_are_found() -> None:
@@ -112,7 +128,8 @@ def test_settings_are_found() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["draw", "{}", "--worlds", "moon"], "no world moon"),
+        (["draw", "{}", "--numbers", "moon=0:2"], "no world moon"),
+        (["draw", "{}", "--numbers", "carts=two"], "write 0:12 for all worlds"),
         (["run", "{}/nowhere"], "no manifest.json"),
         (["run", "{}", "--entrants", "oracle"], "no entrant oracle"),
         (["check", "{}/nowhere"], "no manifest.json"),

@@ -106,12 +106,14 @@ def learn_network(session: Session, home: Path) -> Reply:
 
 
 def run_vpptwin(session: Session, home: Path) -> Reply:
-    """See own.py."""
+    """See own.py and onset.py."""
+    if "watch" in session.tracks:
+        from proving.simgap.entrants.onset import find_onset
+
+        return Reply(parts={"onset": find_onset(session, home)})
     from proving.simgap.entrants.lab import Lab
     from proving.simgap.entrants.own import diagnose
 
-    if "watch" in session.tracks:
-        return Reply()
     evidence, sizes, corrections, note = diagnose(session, home)
     parts = {"sizes": sizes, "forecasts": Lab(session).forecast(corrections)}
     return Reply(evidence, None, parts | ({"note": note} if note else {}))
@@ -141,7 +143,9 @@ ENTRANTS = {
         "fits masses, friction, damping and gains of joints; no delays, limits or zeros", "mujoco",
     ),
     "network": Entrant("neural residual force", learn_network, "predicts, and names nothing", "scikit-learn"),
-    "vpptwin": Entrant("vpptwin diagnose", run_vpptwin, "does not watch a run yet", "vpptwin"),
+    "vpptwin": Entrant(
+        "vpptwin diagnose", run_vpptwin, "watches by a program on its simulation (`onset.py`), no command", "vpptwin"
+    ),
 }  # fmt: skip
 """Id → entrant."""
 

@@ -43,6 +43,13 @@ def write_twin(session: Session) -> str:
     return yaml.safe_dump(content)
 
 
+def write_files(session: Session, folder: Path) -> Path:
+    """Write the twin YAML and its model; returns the former."""
+    (folder / "rig.xml").write_text(session.model)
+    (folder / "twin.yaml").write_text(write_twin(session))
+    return folder / "twin.yaml"
+
+
 def body_of(session: Session) -> str:
     """The one free body."""
     return next(name.split(".")[0] for name in session.causes if name.endswith(".mass"))
@@ -55,9 +62,7 @@ def diagnose(session: Session, home: Path) -> tuple[dict[str, float], dict[str, 
         RuntimeError: where it ends with an error, whose last line is told.
     """
     with TemporaryDirectory() as folder:
-        twin, out = Path(folder) / "twin.yaml", Path(folder) / "out"
-        twin.write_text(write_twin(session))
-        (Path(folder) / "rig.xml").write_text(session.model)
+        twin, out = write_files(session, Path(folder)), Path(folder) / "out"
         logs = sorted(map(str, home.glob("run_*.mcap")))
         command = [sys.executable, "-m", "vpptwin", "diagnose", *logs, "--twin", str(twin), "--out", str(out)]
         ran = subprocess.run([*command, "--limit", LIMIT, "-y"], capture_output=True, text=True, check=False)
