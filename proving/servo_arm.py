@@ -5,6 +5,7 @@ Targets go to the servos at 50 Hz; encoders count 1.5 mrad. What is hidden is na
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -101,11 +102,13 @@ def _move(targets, laws, servos, payload):  # noqa: ANN001, ANN202
     return log
 
 
-def plan_targets(rng: np.random.Generator, duration: float) -> np.ndarray:
-    """Waypoints reached at different speeds, steps and a slow wander, (n, 2) rad at 50 Hz."""
+def plan_targets(
+    rng: np.random.Generator, duration: float, places: Sequence[tuple[float, float]] = ((-0.6, 0.6), (0.5, 0.8))
+) -> np.ndarray:
+    """Waypoints reached at different speeds, steps and a slow wander, (n, J) rad at 50 Hz, about middles by reaches."""
     time = np.arange(round(duration / PERIOD)) * PERIOD
-    targets = np.zeros((len(time), 2))
-    for j, (middle, reach) in enumerate(((-0.6, 0.6), (0.5, 0.8))):
+    targets = np.zeros((len(time), len(places)))
+    for j, (middle, reach) in enumerate(places):
         at, value, here = 0.0, [middle], [0.0]
         while at < duration:
             at += rng.uniform(0.15, 1.0)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 WORLDS = (
-    "drones", "carts", "pendula", "cart-poles", "double-pendula", "arms", "servos", "quadrotors", "watched",
+    "drones", "carts", "pendula", "cart-poles", "double-pendula", "arms", "servos", "legs", "quadrotors", "watched",
 )  # fmt: skip
 """Of worlds.py, which takes seconds to import."""
 
@@ -114,7 +114,7 @@ def run_check(given: argparse.Namespace) -> int:
 def run_validate(given: argparse.Namespace) -> int:
     """Check an answer."""
     from proving.simgap.answers import read_answer
-    from proving.simgap.session import read_session
+    from proving.simgap.storage import read_session
 
     read_answer(given.answer, read_session(given.session))
     print(f"{given.answer} is a valid answer")
@@ -125,7 +125,7 @@ def run_answer(given: argparse.Namespace) -> int:
     """Answer one session."""
     from proving.simgap.entrants import answer_session
     from proving.simgap.run import measure_self
-    from proving.simgap.session import read_session
+    from proving.simgap.storage import read_session
 
     try:
         found = answer_session(given.entrant, read_session(given.session), given.session)

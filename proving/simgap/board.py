@@ -18,8 +18,9 @@ from proving.simgap.entrants import ENTRANTS
 from proving.simgap.results import MEASURES, compare, score_answer, summarise
 from proving.simgap.run import list_entrants
 from proving.simgap.scores import complete_answer
-from proving.simgap.session import Session, Truth, read_session, read_truth
+from proving.simgap.session import Session, Truth
 from proving.simgap.sets import check_set, hash_set, list_sessions, read_manifest
+from proving.simgap.storage import read_session, read_truth
 
 HOME, CLOSE = "vpptwin", 0.10
 """Whose shortcomings go to the top of the page, and the share by which the best in `predict` may be better."""

@@ -14,8 +14,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from proving.simgap.answers import check_answer
-from proving.simgap.session import read_session
 from proving.simgap.sets import list_sessions
+from proving.simgap.storage import read_session
 
 LIMIT = 900.0
 """Time that a session may take [s]."""

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from proving.simgap.lerobot import write_lerobot
-from proving.simgap.session import VERSION, Truth, dump, read_truth, write_session
+from proving.simgap.session import VERSION, Truth, dump
+from proving.simgap.storage import read_truth, write_session
 from proving.simgap.worlds import draw_session
 
 

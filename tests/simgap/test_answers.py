@@ -10,8 +10,9 @@ import pytest
 
 from proving.simgap.answers import check_answer, read_answer
 from proving.simgap.entrants import answer_session
-from proving.simgap.session import Session, read_session, read_truth
+from proving.simgap.session import Session
 from proving.simgap.sets import list_sessions
+from proving.simgap.storage import read_session, read_truth
 from tests.simgap.builders import draw_small_set
 
 pytest.importorskip("mujoco")
@@ -77,7 +78,8 @@ def test_true_correction_predicts_better(tmp_path: Path) -> None:
     """Ids and sizes mean to MuJoCo what they mean to the worlds: the truth lowers the error of a second's forecast."""
     import numpy as np
 
-    from proving.simgap.entrants.lab import Correction, Lab
+    from proving.simgap.entrants.corrections import Correction
+    from proving.simgap.entrants.lab import Lab
 
     checked = set()
     folder = draw_small_set(tmp_path, 11, carts=list(range(6)), quadrotors=[0, 1], servos=[0, 1])

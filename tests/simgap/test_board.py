@@ -13,8 +13,8 @@ from proving.simgap.__main__ import main
 from proving.simgap.entrants.settle import Settings, settle, tune
 from proving.simgap.results import score_answer, score_onset
 from proving.simgap.scores import MIXED, NOTHING, UNKNOWN
-from proving.simgap.session import read_session, read_truth
 from proving.simgap.sets import list_sessions
+from proving.simgap.storage import read_session, read_truth
 
 pytest.importorskip("mujoco")
 

@@ -9,11 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from proving import servo_leg
 from proving.simgap.scores import NOTHING, UNKNOWN
-from proving.simgap.session import HORIZONS, MOTION, read_session, read_truth
+from proving.simgap.session import HORIZONS, MOTION
 from proving.simgap.sets import check_set, commit_seed, draw_set, hash_set, list_sessions, read_manifest
+from proving.simgap.storage import read_session, read_truth
 from proving.simgap.worlds import WORLDS, draw_session
 from tests.simgap.builders import draw_small_set
+
+SLOW = ("arms", "drones", "legs")
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +96,7 @@ def test_secret_seed_is_not_written(tmp_path: Path) -> None:
         draw_set(tmp_path, 12346, {"pendula": [1]}, public=False)
 
 
-@pytest.mark.parametrize("world", [w for w in WORLDS if w not in ("arms", "drones", "pendula", "watched")])
+@pytest.mark.parametrize("world", [w for w in WORLDS if w not in (*SLOW, "pendula", "watched")])
 def test_worlds_draw(world: str) -> None:
     """Every world has a truth among its causes, finite runs, and scales of what is forecast."""
     session, logs, truth = draw_session(world, 5, 0)
@@ -104,10 +108,26 @@ def test_worlds_draw(world: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", ["arms", "drones"])
+@pytest.mark.parametrize("world", SLOW)
 def test_slow_worlds_draw(world: str) -> None:
     """Likewise."""
     test_worlds_draw(world)
+
+
+def test_leg_moves_as_mujoco_has_it() -> None:
+    """With nothing hidden, the nominal MJCF predicts 3 s of the leg within the bend of MuJoCo's friction."""
+    mujoco = pytest.importorskip("mujoco")
+    log = servo_leg.move({}, 3.0, 1)
+    model = mujoco.MjModel.from_xml_string(servo_leg.MJCF)
+    model.opt.timestep, data = servo_leg.STEP, mujoco.MjData(model)
+    targets = np.stack([log.joints["/targets"][f"{name}_servo"]["effort"] for name in servo_leg.JOINTS], axis=1)
+    data.qpos[:], moved = targets[0], []
+    for target in np.repeat(targets, 2, axis=0):
+        moved.append(data.qpos.copy())
+        data.ctrl[:] = target
+        mujoco.mj_step(model, data, round(servo_leg.PERIOD / servo_leg.STEP))
+    seen = np.stack([log.joints["/joint_states"][name]["position"] for name in servo_leg.JOINTS], axis=1)
+    np.testing.assert_allclose(moved, seen, atol=0.005)
 
 
 def test_runs_as_lerobot(tmp_path: Path) -> None:
@@ -134,7 +154,8 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 def test_measured_sessions_are_written(tmp_path: Path) -> None:
     """Files are found by their hash, cut as the manifest says, and the fit by hand lowers the error of simulations."""
     mujoco = pytest.importorskip("mujoco")
-    from proving.simgap.entrants.lab import Correction, Lab
+    from proving.simgap.entrants.corrections import Correction
+    from proving.simgap.entrants.lab import Lab
     from proving.simgap.measured import write_measured
 
     assert mujoco

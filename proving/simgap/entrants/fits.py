@@ -7,7 +7,8 @@ import tempfile
 import numpy as np
 import pinocchio as pin
 
-from proving.simgap.entrants.lab import RATE, SMOOTHED, Correction, Lab, kind_of
+from proving.simgap.entrants.corrections import Correction, find_dof, kind_of
+from proving.simgap.entrants.lab import RATE, SMOOTHED, Lab
 
 TEXTBOOK = ("coulomb", "viscous", "drag", "bias", "spring", "inertia", "gain", "wind", "twist", "mass")
 """Kinds that a spreadsheet plots a residual force against."""
@@ -43,7 +44,11 @@ def fit_spreadsheet(lab: Lab) -> tuple[dict[str, float], dict[str, list[float]],
             worth = -1.0
         std = float(np.sqrt(left / len(target) / max(float(column @ column), 1e-30) * MEMORY * RATE))
         evidence[cause], sizes[cause] = worth, draw_sizes(rng, off + size, std)
-        rest = float(np.mean([m.q[:, lab.dof(cause.split(".")[0])].mean() for m in lab.motions])) if spring else 0.0
+        rest = (
+            float(np.mean([m.q[:, find_dof(lab.model, cause.split(".")[0])].mean() for m in lab.motions]))
+            if spring
+            else 0.0
+        )
         other = rest + float(fitted[1]) / size if spring and size > 0.0 else 0.0
         if worth > best[0]:
             best = worth, Correction(cause, off + size, other)

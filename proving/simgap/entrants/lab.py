@@ -5,8 +5,7 @@ MuJoCo stands for the nominal model that an owner has. The worlds do not use it.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,20 +13,28 @@ import mujoco
 import numpy as np
 from scipy.signal import savgol_filter
 
+from proving.simgap.entrants.corrections import (
+    DRIVES,
+    RESISTING,
+    STEP,
+    Correction,
+    correct_model,
+    distort_all,
+    find_dof,
+    find_push,
+    find_steady,
+    vary_forces,
+)
 from proving.simgap.session import HISTORY, HORIZONS, Run, Session
 
-RATE, STEP = 100.0, 0.002
-"""Samples a second of smoothed motion; step of simulations [s]."""
+RATE = 100.0
+"""Samples a second of smoothed motion."""
 SMOOTHED = 11
 """Samples that a cubic is fitted to."""
 LEADS = (0.05, 0.1, 0.15)
 """Times before a forecast at which a simulation may start [s]: the state is smoothed over twice that."""
 STRETCHES, LENGTH = 30, HORIZONS[-1]
 """Stretches of the runs that a correction is tried on, and their length [s]."""
-QUIET = 0.05
-"""Speed, as a share of its rms, below which friction has no sign."""
-
-
 Push = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """Position (nq,), velocity (nv,) and commands (nu,) → force, (nv,)."""
 
@@ -54,61 +61,21 @@ class Stretch:
     measured: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
-class Correction:
-    """A cause with a size, and for those of two numbers the other one (the rest of a spring)."""
-
-    cause: str
-    size: float
-    other: float = 0.0
-
-    @property
-    def place(self) -> str:
-        """The joint, actuator or body."""
-        return self.cause.split(".")[0]
-
-    @property
-    def kind(self) -> str:
-        """Its law."""
-        return kind_of(self.cause)
-
-    @property
-    def axis(self) -> int:
-        """0, 1 or 2, of what has one."""
-        return "xyz".index(self.cause[-1]) if ":" in self.cause else 0
-
-
-def kind_of(cause: str) -> str:
-    """The law of a cause, by its id: PLACE.KIND, or PLACE.KIND:AXIS."""
-    return re.split("[.:]", cause)[1]
-
-
 class Lab:
     """A session with its model in MuJoCo."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
         mujoco.set_mju_user_warning(lambda message: None)  # of simulations that fail, which count as that
-        self.model = self.correct(())
-        self.positions = [(column, self.joint(of)) for of, column in session.find("position").items()]
+        self.model = correct_model(session.model, ())
+        self.positions = [(column, int(self.model.joint(of).id)) for of, column in session.find("position").items()]
         self.pose = [session.find(part) for part in ("x", "y", "z", "qw", "qx", "qy", "qz")]
         self.commands = [session.find("command")[self.model.actuator(i).name] for i in range(self.model.nu)]
-
-    def joint(self, name: str) -> int:
-        """Index of a joint."""
-        return int(self.model.joint(name).id)
 
     @property
     def free(self) -> bool:
         """Whether it is one free body."""
         return bool(self.pose[0])
-
-    def dof(self, place: str) -> int:
-        """The degree of freedom of a joint, or of the joint that an actuator drives."""
-        try:
-            return int(self.model.joint(place).dofadr[0])
-        except KeyError:
-            return int(self.model.jnt_dofadr[self.model.actuator(place).trnid[0]])
 
     # --- motion
 
@@ -120,8 +87,7 @@ class Lab:
         ]  # fmt: skip
         for column, at in columns:
             there = np.isfinite(run.columns[column])
-            values = run.columns[column][there]
-            q[:, at] = np.interp(clock, run.time[there], values)
+            q[:, at] = np.interp(clock, run.time[there], run.columns[column][there])
         if self.free:
             flips = np.cumprod(np.where((q[1:, 3:7] * q[:-1, 3:7]).sum(1) < 0.0, -1.0, 1.0))
             q[1:, 3:7] *= flips[:, None]
@@ -157,12 +123,15 @@ class Lab:
 
     def lacking(self, motion: Motion, corrections: Sequence[Correction] = ()) -> tuple[np.ndarray, np.ndarray]:
         """Force that a corrected model lacks along a motion, and its actuators' force, (n, nv) each."""
-        model, fine = self.correct(corrections), np.arange(motion.time[0], motion.time[-1] + STEP, STEP)
+        model, fine = (
+            correct_model(self.session.model, corrections),
+            np.arange(motion.time[0], motion.time[-1] + STEP, STEP),
+        )
         held = np.searchsorted(motion.time, fine + 1e-9) - 1
         u = self.drive(motion.u[np.clip(held, 0, None)], corrections)[
             np.round((motion.time - fine[0]) / STEP).astype(int)
         ]
-        shift = self.shift({c.place: c.size for c in corrections if c.kind == "offset"})
+        _, shift = find_steady(model, corrections)
         data, found = mujoco.MjData(model), np.empty((2, len(motion.time), model.nv))
         for k in range(len(motion.time)):
             data.qpos[:], data.qvel[:], data.ctrl[:] = motion.q[k] - shift, motion.v[k], u[k]
@@ -180,7 +149,7 @@ class Lab:
 
     @cached_property
     def table(self) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
-        """Lacking force (n, nv), cause → force of size one (n, nv), and the noise of each column, (nv,); all runs.
+        """Of all runs lacking force (n, nv), cause → force of size one (n, nv), and the noise of each column, (nv,).
 
         Forces are averaged as smoothing averages accelerations. Noise is the median change over a tenth of a second.
         """
@@ -210,31 +179,20 @@ class Lab:
         """
         told, given = Correction(cause, 1.0), self.session.causes[cause]
         found = np.zeros_like(lacking)
-        if told.kind in ("coulomb", "stiction", "viscous", "drag", "bias", "spring", "load") and not self.free:
-            j = self.dof(told.place)
-            v, q = motion.v[:, j], motion.q[:, j]
-            sign = np.tanh(v / (QUIET * np.sqrt(np.mean(v**2)) + 1e-12))
-            slow = np.exp(-((v / (0.1 * np.sqrt(np.mean(v**2)) + 1e-12)) ** 2))
-            found[:, j] = {
-                "coulomb": -sign, "stiction": -sign * slow, "viscous": -v, "drag": -np.abs(v) * v,
-                "bias": np.ones_like(v), "spring": -(q - q.mean()), "load": -np.abs(drive[:, j]) * sign,
-            }[told.kind]  # fmt: skip
+        if told.kind in RESISTING and not self.free:
+            j = find_dof(self.model, told.place)
+            found[:, j] = find_push(told.kind, motion.q[:, j], motion.v[:, j], drive[:, j])
             return found
-        if told.kind in ("wind", "twist", "drag") and self.free:
-            if told.kind == "drag":
-                found[:, :3] = -motion.v[:, :3]
-            else:
-                found[:, told.axis + 3 * (told.kind == "twist")] = 1.0
+        if told.kind == "drag":
+            found[:, :3] = -motion.v[:, :3]
             return found
-        if told.kind in ("inertia", "gain", "offset", "mass", "com", "payload", "stiffness", "force_limit", "delay",
-                         "lag", "backlash", "rate_limit", "saturation"):  # fmt: skip
+        if told.kind in ("wind", "twist"):
+            return found + find_steady(self.model, [told])[0]
+        if told.kind in (*DRIVES, "inertia", "offset", "mass", "com", "payload", "stiffness", "force_limit"):
             size = given.off + given.scale * (-1.0 if told.kind in ("saturation", "rate_limit", "force_limit") else 1.0)
             size = max(size, 0.05 * given.off)
-            other, _ = self.lacking(motion, (Correction(cause, size),))
-            return (lacking - other) / (size - given.off)
+            return (lacking - self.lacking(motion, (Correction(cause, size),))[0]) / (size - given.off)
         return None
-
-    # --- simulation
 
     def start(self, run: Run, at: float, lead: float) -> tuple[np.ndarray, np.ndarray]:
         """Position and velocity `lead` before an instant, by cubics over as much to either side of that."""
@@ -290,17 +248,10 @@ class Lab:
         self, stretches: Sequence[Stretch], corrections: Sequence[Correction] = (), push: Push | None = None
     ) -> np.ndarray:
         """Motion of predicted columns from each start, (stretches, 10, n); NaN where a simulation fails."""
-        model = self.correct(corrections)
+        model = correct_model(self.session.model, corrections)
         vary = [c for c in corrections if c.kind in ("stiction", "load", "cogging", "wind", "drag") and c.size]
-        base, applied = model.dof_frictionloss.copy(), np.zeros(model.nv)
-        zero = {c.place: c.size for c in corrections if c.kind == "offset"}
-        for c in corrections:
-            if c.kind in ("bias", "twist"):
-                applied[self.dof(c.place) if c.kind == "bias" else 3 + c.axis] += c.size
-            if c.kind == "wind":
-                applied[c.axis] += c.size
+        base, applied, shift = model.dof_frictionloss.copy(), *find_steady(model, corrections)
         data, out = mujoco.MjData(model), np.empty((len(stretches), len(HORIZONS), len(self.session.predicted)))
-        shift = self.shift(zero)
         for i, stretch in enumerate(stretches):
             mujoco.mj_resetData(model, data)
             data.qpos[:], data.qvel[:], data.qfrc_applied[:] = stretch.q - shift, stretch.v, applied
@@ -308,7 +259,7 @@ class Lab:
             rows, seen = np.round((np.array(HORIZONS) + stretch.lead) / STEP).astype(int), 0
             for k in range(rows[-1]):
                 if vary:
-                    self.vary(model, data, vary, base, applied)
+                    vary_forces(model, data, vary, base, applied, self.free)
                 data.ctrl[:] = u[k]
                 if push:
                     data.qfrc_applied[:] = applied + push(data.qpos, data.qvel, u[k])
@@ -322,79 +273,11 @@ class Lab:
         """Predicted columns of a position."""
         return q[:3] if self.free else q[[int(self.model.jnt_qposadr[joint]) for _, joint in self.positions]]
 
-    def shift(self, zero: Mapping[str, float]) -> np.ndarray:
-        """What encoders read too much, (nq,)."""
-        found = np.zeros(self.model.nq)
-        for place, size in zero.items():
-            found[int(self.model.joint(place).qposadr[0])] = size
-        return found
-
-    def correct(self, corrections: Sequence[Correction]) -> mujoco.MjModel:
-        """The model with what of the corrections MJCF can say."""
-        spec = mujoco.MjSpec.from_string(self.session.model)
-        spec.option.timestep, spec.option.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        for c in corrections:
-            if c.kind == "com":
-                spec.body(c.place).ipos[c.axis] += c.size
-        model = spec.compile()
-        for c in corrections:
-            if c.kind in ("coulomb", "viscous", "inertia", "spring"):
-                j = self.dof(c.place)
-                if c.kind == "coulomb":
-                    model.dof_frictionloss[j] = max(model.dof_frictionloss[j] + c.size, 0.0)
-                elif c.kind == "viscous":
-                    model.dof_damping[j] = max(model.dof_damping[j] + c.size, 0.0)
-                elif c.kind == "inertia":
-                    model.dof_armature[j] = max(model.dof_armature[j] + c.size, -0.5 * data_inertia(model, j))
-                else:
-                    model.jnt_stiffness[self.joint(c.place)] = c.size
-                    model.qpos_spring[model.jnt_qposadr[self.joint(c.place)]] = c.other
-            elif c.kind == "stiffness":
-                i = model.actuator(c.place).id
-                model.actuator_gainprm[i, 0] *= c.size
-                model.actuator_biasprm[i, 1] *= c.size
-            elif c.kind == "force_limit":
-                model.actuator_forcerange[model.actuator(c.place).id] *= c.size
-            elif c.kind == "mass":
-                body = model.body(c.place).id
-                model.body_inertia[body] *= 1.0 + c.size / model.body_mass[body]
-                model.body_mass[body] += c.size
-            elif c.kind == "payload":
-                body = model.body(c.place).id
-                model.body_mass[body] += c.size
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-        return model
-
-    def vary(self, model: mujoco.MjModel, data: mujoco.MjData, corrections: Sequence[Correction],
-             base: np.ndarray, applied: np.ndarray) -> None:  # fmt: skip
-        """Forces that change along the way, for the next step."""
-        model.dof_frictionloss[:] = base
-        data.qfrc_applied[:] = applied
-        for c in corrections:
-            if c.kind == "drag" and self.free:
-                data.qfrc_applied[:3] -= c.size * data.qvel[:3]
-                continue
-            if c.kind == "wind":
-                continue
-            j = self.dof(c.place)
-            if c.kind == "stiction":
-                model.dof_frictionloss[j] += c.size * np.exp(-((data.qvel[j] / max(c.other, 1e-6)) ** 2))
-            elif c.kind == "load":
-                model.dof_frictionloss[j] += c.size * abs(data.qfrc_actuator[j])
-            elif c.kind == "drag":
-                data.qfrc_applied[j] -= c.size * abs(data.qvel[j]) * data.qvel[j]
-
     def drive(self, u: np.ndarray, corrections: Sequence[Correction]) -> np.ndarray:
-        """Commands (n, nu) at `STEP` as the actuators have them."""
-        u, given = u.copy(), {c.cause for c in corrections}
+        """Commands (n, nu) at `STEP` as the actuators have them, with what is known of these."""
+        given = {c.cause for c in corrections}
         known = [Correction(cause, size) for cause, size in self.session.known.items() if cause not in given]
-        for c in (*known, *corrections):
-            if c.kind not in ("gain", "delay", "lag", "backlash", "rate_limit", "saturation"):
-                continue
-            for name in c.place.split("+"):
-                i = self.model.actuator(name).id
-                u[:, i] = distort(u[:, i], c.kind, c.size)
-        return u
+        return distort_all(self.model, u, [*known, *corrections])
 
     def miss(self, corrections: Sequence[Correction] = (), push: Push | None = None) -> np.ndarray:
         """Measured less predicted motion of the tried stretches, in standard deviations of the motion, (K, 10, n)."""
@@ -415,30 +298,3 @@ class Lab:
         stay = np.stack([self.show(w.q) for w in windows])
         told = np.where(np.isfinite(told), told, stay[:, None])
         return [[(one + error).tolist() for error in chosen] for one in told]
-
-
-def data_inertia(model: mujoco.MjModel, dof: int) -> float:
-    """Inertia at a degree of freedom in the pose that the model begins with."""
-    return float(model.dof_M0[dof])
-
-
-def distort(u: np.ndarray, kind: str, size: float) -> np.ndarray:
-    """A command (n,) at `STEP` after a drive with one fault."""
-    if kind == "gain":
-        return size * u
-    if kind == "delay":
-        rows = np.arange(len(u)) - max(size, 0.0) / STEP
-        return np.interp(rows, np.arange(len(u)), u)
-    if kind == "saturation":
-        return np.clip(u, -abs(size), abs(size))
-    out, held = np.empty_like(u), u[0]
-    keep = np.exp(-STEP / max(size, 1e-6)) if kind == "lag" else 0.0
-    for k, wanted in enumerate(u):
-        if kind == "lag":
-            held = wanted + (held - wanted) * keep
-        elif kind == "backlash":
-            held = min(max(held, wanted - 0.5 * abs(size)), wanted + 0.5 * abs(size))
-        else:
-            held += min(max(wanted - held, -abs(size) * STEP), abs(size) * STEP)
-        out[k] = held
-    return out

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import yaml
 
+from proving.simgap.entrants.corrections import Correction
 from proving.simgap.entrants.fits import draw_sizes
-from proving.simgap.entrants.lab import Correction
 from proving.simgap.scores import UNKNOWN
 from proving.simgap.session import Session
 

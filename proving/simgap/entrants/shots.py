@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from proving.simgap.entrants.corrections import STEP, Correction, find_dof, kind_of
 from proving.simgap.entrants.fits import draw_sizes
-from proving.simgap.entrants.lab import STEP, Correction, Lab, kind_of
+from proving.simgap.entrants.lab import Lab
 from proving.simgap.session import HISTORY, HORIZONS
 
 SPAN = 4.0
@@ -68,7 +69,7 @@ def rank(lab: Lab) -> tuple[dict[str, float], dict[str, list[float]], list[Corre
 
 def spring_rest(lab: Lab, cause: str) -> float:
     """Where a spring rests: the mean position; of breakaway friction, a tenth of the rms speed."""
-    j = lab.dof(Correction(cause, 0.0).place)
+    j = find_dof(lab.model, Correction(cause, 0.0).place)
     if kind_of(cause) == "stiction":
         return 0.1 * float(np.sqrt(np.mean(np.concatenate([m.v[:, j] for m in lab.motions]) ** 2)))
     return float(np.mean(np.concatenate([m.q[:, j] for m in lab.motions])))

@@ -20,9 +20,10 @@ from urllib.request import urlopen
 import numpy as np
 
 from proving.logs import Log, Stream
-from proving.simgap.session import Cause, Truth, write_session
+from proving.simgap.causes import assemble, make_cause
+from proving.simgap.session import Truth
 from proving.simgap.sets import add_to_manifest
-from proving.simgap.worlds import LAWS, PLAIN, UNITS, assemble
+from proving.simgap.storage import write_session
 
 HERE = Path(__file__).parent
 RAW = "https://raw.githubusercontent.com"
@@ -43,7 +44,7 @@ def write_measured(folder: Path, data: Path | None) -> list[str]:
     for entry in json.loads((HERE / "manifest.json").read_text()):
         table = read_columns(find_file(entry, local))
         logs = [cut_log(table, entry, span) for span in (*entry["runs_s"], entry["held_out_s"])]
-        causes = {name: describe_cause(name, *sizes) for name, sizes in entry["causes"].items()}
+        causes = {name: make_cause(name.split(".")[1], "", True, *sizes) for name, sizes in entry["causes"].items()}
         truth = Truth(entry["answer"], {entry["answer"]: entry["size"]}, salt=entry["sha256"])
         mjcf = (HERE / entry["model"]).read_text()
         units = {of: "rad" for role, of in entry["columns"].values() if role == "position"}
@@ -86,10 +87,3 @@ def cut_log(table: Mapping[str, np.ndarray], entry: Mapping[str, Any], span: tup
     for (topic, of), columns in values.items():
         topics.setdefault(topic, {})[of] = Stream(time, columns)
     return Log(Path("run.mcap"), 0, {}, topics)
-
-
-def describe_cause(name: str, off: float, scale: float) -> Cause:
-    """A cause at a hinge, or of a motor."""
-    group, law, parameter = LAWS[name.split(".")[1]]
-    unit = UNITS.get(parameter, (PLAIN.get(parameter, ""),) * 2)[1]
-    return Cause(group, law, parameter, unit, off, scale)
