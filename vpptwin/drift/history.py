@@ -141,7 +141,7 @@ def history(
     shared = (locate_twin(spec.name), tuple(file.resolve() for file in spec.effect_files), spec.effects)
     tasks = [FitTask(flight, *shared, spec.controller, tuple(causes), as_is or is_as_is()) for flight in flights]
     fits: dict[int, FlightFit] = {}
-    with open_bar(desc="history", disable=not progress, total=len(tasks), unit=" flights", unit_scale=False) as bar:
+    with open_bar(desc="history", disable=not progress, total=len(tasks), unit=" logs", unit_scale=False) as bar:
         for number, fit in share_out(fit_flight, tasks, jobs):
             fits[number] = fit
             bar.update()

@@ -88,5 +88,5 @@ def draw_course(record: ParameterHistory, course: Course) -> str:
         else:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         unit = course.unit.strip()
-        name_axes(axes, "date" if record.dated else "flight", f"{course.parameter} [{unit or '1'}]", course.name)
+        name_axes(axes, "date" if record.dated else "log", f"{course.parameter} [{unit or '1'}]", course.name)
         return write_svg(figure, f"{course.name} over logs")

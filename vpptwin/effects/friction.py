@@ -158,7 +158,7 @@ def list_lugre(place: JointScale) -> tuple[Parameter, ...]:
 
 
 lugre = JointLaw(
-    "lugre", "dry friction {where} that gives before it slips",
+    "lugre", "presliding compliance {where}",
     "-(z/compliance + σ v), dz/dt = v up to 0.9 F compliance, from there ever less and σ = 0", Stage.SLIP, apply_lugre,
     list_lugre, modifies=("coulomb", "stiction"), states=(State("deflection", "{length}"),),
 )  # fmt: skip

@@ -9,6 +9,8 @@ from vpptwin.diagnosis.judgement.verdict import Estimate
 
 MILLI = {"m": "mm", "s": "ms", "rad": "mrad", "kg": "g", "N m": "mN m"}
 """Units that are written with a thousandth where the number is below 0.1."""
+MICRO = {"m/N": ("mm/N", "µm/N"), "rad/(N m)": ("mrad/(N m)", "µrad/(N m)")}
+"""Units that are written with a thousandth or a millionth."""
 HEAD = re.compile(r"^(.*?)(?: (?:of|that|on|in|from|between|at|near|older|lost|along|beside|above|whose)\b.*)?$")
 """What a summary is about: everything before its first preposition."""
 
@@ -40,6 +42,8 @@ def choose_unit(unit: str, size: float) -> tuple[str, float]:
     """A readable unit for values of a size, and the factor to it."""
     if unit in MILLI and size < 0.1:
         return MILLI[unit], 1e3
+    if unit in MICRO and size < 0.1:
+        return (MICRO[unit][0], 1e3) if size >= 1e-4 else (MICRO[unit][1], 1e6)
     return unit.replace("^2", "²"), 1.0
 
 

@@ -20,7 +20,7 @@ def test_levels() -> None:
     assert FOUND.levels == {"identifiable": ["a"], "weakly identifiable": ["b"], "not identifiable": ["c"]}
     lines = FOUND.describe()
     assert lines[1] == "weakly identifiable at their usual size: b (like a)"
-    assert lines[-1] == "the search will take about 1.5 min"
+    assert lines[-1] == "the search will take about 2 min, within a factor of two"
 
 
 def test_a_diagnosis_says_them_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

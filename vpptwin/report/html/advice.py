@@ -77,8 +77,10 @@ def list_steps(
         )
         words = ["vpptwin", "export", session.extended, "--format", "mjcf"]
         steps.append(NextStep("Use the extended twin elsewhere: write it as MJCF.", shlex.join(words)))
-    beside = "extended twin" if verdict.named else "twin"
-    steps.append(NextStep(f"View the {beside} beside a log.", session.type("play", session.logs[0], "--twin", twin)))
+    shown = list(dict.fromkeys([session.spec.name, twin]))
+    told = "View both twins beside a log." if len(shown) > 1 else "View the twin beside a log."
+    beside = [part for each in shown for part in ("--twin", each)]
+    steps.append(NextStep(told, session.type("play", session.logs[0], *beside)))
     if is_unexplained(verdict):
         steps.append(suggest_own_effect(verdict, session))
     else:

@@ -69,7 +69,7 @@ def describe_show(show: Show, title: str, caption: str) -> PageText:
     """Legend, note, views and readouts for what a show holds; caption is what the legend calls the twin."""
     legend = [LegendEntry(palette.LOG, "solid", "the log")]
     rig = frame_view(find_corners(show.model, show.log.qpos[0]), margin=0.3)
-    views = {"flight": lower_view(view_show(show)), "rig": lower_view(rig)}
+    views = {"flight" if show.followed >= 0 else "motion": lower_view(view_show(show)), "rig": lower_view(rig)}
     log_node: tuple[str, ...] = ()
     twin_node: tuple[str, ...] = ()
     if show.twin is not None:

@@ -14,6 +14,7 @@ SIZE = (3.6, 2.7)  # inch: two stand side by side on a desk, one fills a phone h
 MAX_POINTS = 1000  # of a scatter plot
 BINS = 16  # of the running median
 MIN_PER_BIN = 8  # samples, below which a bin's quantiles say nothing
+BULK = 0.9  # of the dots, which decides on the axis
 BAND = (0.1, 0.9)  # quantiles
 MAX_SAMPLES = 800  # of a line
 
@@ -75,7 +76,7 @@ def residual_against(
     panels = [(titles[0], residual_before, BEFORE)]
     if residual_after is not None:
         panels.append((titles[1], residual_after, AFTER))
-    limits = cover_bulk(np.concatenate([residual for _, residual, _ in panels]))
+    limits = cover_bulk(np.concatenate([residual for _, residual, _ in panels]), BULK)
     figures = []
     for title, residual, colour in panels:
         known = np.isfinite(x) & np.isfinite(residual)
@@ -120,12 +121,12 @@ def bin_quantiles(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     return centre, low, median, high
 
 
-def cover_bulk(values: np.ndarray) -> tuple[float, float]:
-    """Limits of an axis that covers zero, 99 % of the values and a margin, so that outliers do not flatten the rest."""
+def cover_bulk(values: np.ndarray, share: float = 0.99) -> tuple[float, float]:
+    """Limits of an axis that covers zero, a share of the values and a margin: outliers do not flatten the rest."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return -1.0, 1.0
-    low, high = np.quantile(finite, [0.005, 0.995])
+    low, high = np.quantile(finite, [0.5 - 0.5 * share, 0.5 + 0.5 * share])
     margin = 0.15 * max(high - low, 1e-12)
     return min(low, 0.0) - margin, max(high, 0.0) + margin
 

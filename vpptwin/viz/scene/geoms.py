@@ -86,12 +86,14 @@ def name_body(model: mujoco.MjModel, body: int) -> str:
     return model.body(body).name or f"body_{body}"
 
 
-def find_corners(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
-    """Corners (n, 3) [m] of the boxes around all drawn geoms but planes, with the joints at qpos (nq,)."""
+def find_corners(model: mujoco.MjModel, qpos: np.ndarray, moving: bool = False) -> np.ndarray:
+    """Corners (n, 3) [m] of boxes around drawn geoms but planes, or those that move, with joints at qpos (nq,)."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     drawn = (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_group < FIRST_HIDDEN_GROUP)
+    if moving:
+        drawn &= model.body_weldid[model.geom_bodyid] != 0
     corners = [
         data.geom_xpos[geom]
         + (model.geom_aabb[geom, :3] + CORNERS * model.geom_aabb[geom, 3:]) @ data.geom_xmat[geom].reshape(3, 3).T

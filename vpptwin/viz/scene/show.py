@@ -17,7 +17,7 @@ from vpptwin.twin.robot.robot import Robot, by_robot
 from vpptwin.twin.robot.signals import Tracked, turn_from_parent
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.viz.scene.camera import CameraView, frame_view
-from vpptwin.viz.scene.geoms import Paint, pose_bodies
+from vpptwin.viz.scene.geoms import Paint, find_corners, pose_bodies
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -34,6 +34,8 @@ NUMBERS_OF_BODY = 9  # a frame of a body: position, quaternion and their two tim
 NUMBERS_OF_OVERLAY = 40  # a frame of what the robot adds: turn, pitch of two blades, arrows, and the times of each
 TRAIL_DURATION = 1.5  # s of the past that the trail of a craft shows
 LONGEST_GAP = 0.03  # s without a sample of the prediction after which the twin is hidden
+VIEWED = 100  # frames that say how far a rig reaches
+AROUND, SMALLEST_RIG = 0.2, 0.05  # share of a rig's size that is left around it; size of the smallest rig [m]
 Positions = dict[int, tuple[np.ndarray, np.ndarray]]
 """qpos index → time (n,) [s], position (n,) [m or rad], or number of a quaternion."""
 
@@ -192,8 +194,15 @@ def sample_prediction(prediction: Prediction, at: np.ndarray) -> SampledMotion:
 
 
 def view_show(show: Show, **options: float) -> CameraView:
-    """The view that holds the path of what is followed, or all that moves; options are those of `frame_view`."""
-    position, _ = pose_bodies(show.model, show.log.qpos)
+    """The view that holds the path of what is followed, or all of the rig that moves.
+
+    Options are those of `frame_view`; where nothing is followed the rig's size decides on margin and least size.
+    """
     if show.followed >= 0:
+        position, _ = pose_bodies(show.model, show.log.qpos)
         return frame_view(position[:, show.followed], **options)
-    return frame_view(position[:, show.model.body_weldid != 0].reshape(-1, 3), **options)
+    frames = np.linspace(0, len(show.frames) - 1, min(len(show.frames), VIEWED)).round().astype(int)
+    corners = np.concatenate([find_corners(show.model, show.log.qpos[frame], moving=True) for frame in frames])
+    size = max(float(np.ptp(corners[:, [0, 2]], axis=0).max()), SMALLEST_RIG)
+    given = {name: value for name, value in options.items() if name == "aspect"}
+    return frame_view(corners, margin=AROUND * size, smallest=AROUND * size, **given)
