@@ -56,9 +56,9 @@ class Prospects:
             told = [f"{e} (like {self.like[e]})" if level.startswith("weakly") else e for e in effects[:MOST]]
             told += [f"and {len(effects) - MOST} more"] if len(effects) > MOST else []
             lines += [f"{level} at their usual size: {', '.join(told)}"] if effects else []
-        size = 60.0 if self.seconds >= 90.0 else 1.0
-        told = tell_time(size * float(f"{self.seconds / size:.1g}"))
-        return [*lines, f"the search will take about {told}, within a factor of two"]
+        size = 60.0 if self.seconds >= 60.0 else 1.0
+        took = tell_time(size * float(f"{self.seconds / size:.1g}"))
+        return [*lines, f"the search will take about {took}, within a factor of two"]
 
 
 def foresee(bench: Bench, scout: Bench, unknowns: Sequence[Unknown]) -> Prospects:
