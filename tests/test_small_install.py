@@ -54,6 +54,7 @@ REFUSED = {
     "live": (["play", "--live", "flip"], "train"),
     "onnx": (["export", "flip", "--format", "onnx"], "deploy"),
     "rrd": (["diagnose", "flip.mcap", "--out", "out", "--rrd"], "rerun"),
+    "plot page": (["plot", "flip.mcap", "--out", "flip.html"], "interactive"),
     "mp4": (["play", "flip.mcap", "--video", "flip.mp4"], "video"),
     "parquet": (["inspect", "flight.parquet"], "logs"),
     "menagerie": (["inspect", "flip.mcap", "--model", "ur10e"], "menagerie"),

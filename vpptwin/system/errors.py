@@ -22,6 +22,7 @@ EXTRAS = {
     "menagerie": ("mujoco_menagerie", "robot_descriptions"),
     "rerun": ("rerun",),
     "video": ("imageio_ffmpeg",),
+    "interactive": ("plotly",),
     "gpu": ("warp", "mujoco_warp"),
 }
 """Modules that come with no plain `pip install vpptwin`, by the extra that brings them."""

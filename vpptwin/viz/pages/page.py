@@ -4,49 +4,36 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Protocol
 
 import jinja2
-import meshcat
 import numpy as np
 import umsgpack
-from meshcat import Visualizer
-from meshcat.commands import SetAnimation
 
 from vpptwin.viz.plots import palette
 from vpptwin.viz.scene.camera import CameraView, frame_view
 from vpptwin.viz.scene.geoms import GRID_STEP, ROOT, find_corners, name_body
+from vpptwin.viz.scene.nodes import VIEWER, Message, Node
 from vpptwin.viz.scene.show import TRAIL_DURATION, LegendEntry, Show, view_show
 from vpptwin.viz.scene.stage import draw_show
 from vpptwin.viz.scene.tracks import Animation
 
 FOREVER = float("inf")  # repetitions of a looping animation
 FOLLOWED_HALF_HEIGHT = 0.6  # m seen above and below a followed craft
-VIEWER = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
 TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("vpptwin.viz"), autoescape=True, undefined=jinja2.StrictUndefined
 )
 
 
-class Command(Protocol):
-    """A meshcat command: what a viewer is told."""
-
-    def lower(self) -> Mapping[str, object]:
-        """The command as the viewer's message."""
-
-
 @dataclass
 class Recorder:
-    """Takes the place of meshcat's window: keeps the commands instead of sending them to a server."""
+    """Keeps what a viewer is told."""
 
     commands: list[bytes] = field(default_factory=list)
 
-    def send(self, command: Command) -> None:
-        """Keep one command, packed."""
-        self.commands.append(umsgpack.packb(command.lower()))
+    def send(self, message: Message) -> None:
+        """Keep one message, packed."""
+        self.commands.append(umsgpack.packb(message))
 
 
 @dataclass(frozen=True)
@@ -94,8 +81,9 @@ def lower_view(view: CameraView) -> tuple[float, float, float]:
 def record_show(show: Show) -> list[bytes]:
     """What a viewer is told, packed, in the order of drawing: the scene, and its motion for ever."""
     recorder = Recorder()
-    tracks = draw_show(Visualizer(window=recorder), show)
-    recorder.send(SetAnimation(Animation(tracks), play=True, repetitions=FOREVER))
+    tracks = draw_show(Node(recorder), show)
+    options = {"play": True, "repetitions": FOREVER}
+    recorder.send({"type": "set_animation", "animations": Animation(tracks).lower(), "options": options, "path": ""})
     return recorder.commands
 
 

@@ -20,7 +20,8 @@ from tornado.web import Application, HTTPError, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from vpptwin.system.errors import InputError
-from vpptwin.viz.pages.page import TEMPLATES, VIEWER, Command
+from vpptwin.viz.pages.page import TEMPLATES
+from vpptwin.viz.scene.nodes import VIEWER, Message
 
 LOOPBACK = "127.0.0.1"
 MAX_BODY_BYTES = 1000
@@ -37,7 +38,7 @@ Answer = Callable[[bytes], tuple[str, bytes]]
 
 
 class Server:
-    """A scene that browsers watch, and pages around it; takes the place of meshcat's window.
+    """A scene that browsers watch, and pages around it.
 
     Args:
         host: address of this machine to listen on; by default only this machine can connect.
@@ -138,9 +139,9 @@ class Server:
         self._invitations.add(token)
         return f"{self._origin}/once/{token}"
 
-    def send(self, command: Command) -> None:
-        """Show a command to who watches, and keep it for who comes later; the last of its kind replaces it."""
-        content = dict(command.lower())
+    def send(self, message: Message) -> None:
+        """Show a message to who watches, and keep it for who comes later; the last of its kind replaces it."""
+        content = dict(message)
         key = content["type"], content["path"], content.get("property")
         self._loop.call_soon_threadsafe(self._show, key, umsgpack.packb(content))
 

@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
-from vpptwin.system.errors import InputError
+from vpptwin.system.errors import InputError, load_extra
 from vpptwin.system.files import write_whole
 from vpptwin.viz.plots.figure import INK, follow_reader, open_figure, thin, write_svg
 from vpptwin.viz.plots.palette import BRIGHT, TWIN, VERMILION
@@ -46,9 +46,11 @@ THEMES = {"light": Theme("#1A1C1F", "#FFFFFF"), "dark": Theme("#E8EAED", "#15181
 
 
 def check_format(out: Path) -> None:
-    """Refuse what is no picture's name."""
+    """Refuse what is no picture's name, and a page where plotly is missing."""
     if out.suffix.lower() not in FORMATS:
         raise InputError(f"--out {out}", f"a name that ends in {', '.join(FORMATS)}", "e.g. --out flight.png")
+    if out.suffix.lower() == ".html":
+        load_extra("plotly", f"--out {out}")
 
 
 def write_story(story: Story, out: Path, theme: str = "light") -> Path:

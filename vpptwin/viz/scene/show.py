@@ -20,12 +20,12 @@ from vpptwin.viz.scene.camera import CameraView, frame_view
 from vpptwin.viz.scene.geoms import Paint, find_corners, pose_bodies
 
 if TYPE_CHECKING:
-    from meshcat import Visualizer
     from PIL.ImageDraw import ImageDraw
 
     from vpptwin.estimation.replay import Prediction
     from vpptwin.logs.flight import Flight
     from vpptwin.viz.scene.frames import Painter
+    from vpptwin.viz.scene.nodes import Node
     from vpptwin.viz.scene.tracks import KeyframeTrack
 
 FRAME_RATE = 50.0  # Hz
@@ -67,11 +67,11 @@ class Overlay:
     legend: tuple[LegendEntry, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def draw_parts(self, vis: Visualizer, show: Show, name: str, paint: Paint | None) -> list[KeyframeTrack]:
+    def draw_parts(self, vis: Node, show: Show, name: str, paint: Paint | None) -> list[KeyframeTrack]:
         """Draw what hangs on the bodies of `log` or `twin`, in its colours or in one paint; returns what moves it."""
         return []
 
-    def draw_target(self, vis: Visualizer, show: Show) -> list[KeyframeTrack]:
+    def draw_target(self, vis: Node, show: Show) -> list[KeyframeTrack]:
         """Draw what stands for itself; returns what moves it."""
         return []
 

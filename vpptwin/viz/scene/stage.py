@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import meshcat.geometry as mg
-import meshcat.transformations as tf
 import mujoco
 import numpy as np
-from meshcat import Visualizer
 
 from vpptwin.viz.plots.palette import GREY, TRAIL, TWIN, to_int
 from vpptwin.viz.scene.camera import AZIMUTH, BACKDROP_BOTTOM, BACKDROP_TOP, ELEVATION, FIELD_OF_VIEW, CameraView
@@ -23,6 +20,7 @@ from vpptwin.viz.scene.geoms import (
     read_paint,
 )
 from vpptwin.viz.scene.meshes import make_geom, make_material, make_ribbon
+from vpptwin.viz.scene.nodes import Node, make_lines, paint_material, shift
 from vpptwin.viz.scene.show import SampledMotion, Show, view_show
 from vpptwin.viz.scene.tracks import KeyframeTrack, make_track
 
@@ -33,7 +31,7 @@ TWIN_PAINT = Paint(TWIN, 0.5, behind=True)
 CAMERA = "/Cameras/default/rotated/<object>"
 
 
-def draw_show(vis: Visualizer, show: Show) -> list[KeyframeTrack]:
+def draw_show(vis: Node, show: Show) -> list[KeyframeTrack]:
     """Draw everything, aim the camera, and return the tracks that move it."""
     draw_surroundings(vis, show.model)
     tracks = draw_trajectory(vis, show, "log", show.log)
@@ -46,7 +44,7 @@ def draw_show(vis: Visualizer, show: Show) -> list[KeyframeTrack]:
     return tracks
 
 
-def draw_surroundings(vis: Visualizer, model: mujoco.MjModel) -> None:
+def draw_surroundings(vis: Node, model: mujoco.MjModel) -> None:
     """Draw the geoms that never move (floor, wall, rail) before a pale backdrop without meshcat's own grid and axes."""
     vis["/Grid"].set_property("visible", False)
     vis["/Axes"].set_property("visible", False)
@@ -62,7 +60,7 @@ def draw_surroundings(vis: Visualizer, model: mujoco.MjModel) -> None:
             place.set_transform(make_matrix(data.xpos[body], data.xquat[body]))
 
 
-def draw_bodies(node: Visualizer, model: mujoco.MjModel, paint: Paint | None = None) -> None:
+def draw_bodies(node: Node, model: mujoco.MjModel, paint: Paint | None = None) -> None:
     """Draw the geoms of the moving bodies below node/BODY, all in one paint, or in the MJCF's colours."""
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
@@ -70,7 +68,7 @@ def draw_bodies(node: Visualizer, model: mujoco.MjModel, paint: Paint | None = N
             draw_geom(node[name_body(model, body)], model, geom, paint)
 
 
-def draw_geom(node: Visualizer, model: mujoco.MjModel, geom: int, paint: Paint | None) -> None:
+def draw_geom(node: Node, model: mujoco.MjModel, geom: int, paint: Paint | None) -> None:
     """Draw one geom below its body's node, unless it is transparent or in a hidden group."""
     own, shape = read_paint(model, geom), make_geom(model, geom)
     if shape is None or own.opacity == 0.0 or model.geom_group[geom] >= FIRST_HIDDEN_GROUP:
@@ -95,7 +93,7 @@ def make_matrix(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
 
 
 def draw_trajectory(
-    vis: Visualizer, show: Show, name: str, trajectory: SampledMotion, paint: Paint | None = None
+    vis: Node, show: Show, name: str, trajectory: SampledMotion, paint: Paint | None = None
 ) -> list[KeyframeTrack]:
     """Draw the rig as it moves, in the MJCF's colours or in one paint, and what the robot adds to it."""
     path, model, time = f"{ROOT}/{name}", show.model, show.time
@@ -109,15 +107,15 @@ def draw_trajectory(
     return tracks + show.overlay.draw_parts(vis, show, name, paint)
 
 
-def draw_trail(vis: Visualizer, show: Show) -> None:
+def draw_trail(vis: Node, show: Show) -> None:
     """Draw the path of what is followed as a ribbon; a page shows its last seconds only, which tracks cannot do."""
     position, _ = pose_bodies(show.model, show.log.qpos)
     path = position[:, show.followed] + [0.0, TRAIL_DEPTH, 0.0]
-    material = mg.MeshBasicMaterial(color=to_int(TRAIL), opacity=0.45, depthWrite=False)
+    material = paint_material("MeshBasicMaterial", to_int(TRAIL), 0.45, depthWrite=False)
     vis[f"{ROOT}/trail"].set_object(make_ribbon(path, TRAIL_WIDTH), material)
 
 
-def aim_at(vis: Visualizer, view: CameraView) -> None:
+def aim_at(vis: Node, view: CameraView) -> None:
     """Draw a grid behind what the camera sees, and aim it; it always looks at the origin, so the rig is shifted."""
     centre, reach = view.centre[[0, 2]], view.half_height * np.array([2.5, 1.5])
     first = np.floor(np.maximum(centre - reach, [-np.inf, 0.0]) / GRID_STEP) * GRID_STEP
@@ -127,10 +125,9 @@ def aim_at(vis: Visualizer, view: CameraView) -> None:
         ends += [(x, GRID_DEPTH, first[1]), (x, GRID_DEPTH, last[1])]
     for z in np.arange(first[1], last[1] + 1e-9, GRID_STEP):
         ends += [(first[0], GRID_DEPTH, z), (last[0], GRID_DEPTH, z)]
-    lines = mg.PointsGeometry(np.array(ends, dtype=np.float32).T)
-    grid = mg.LineSegments(lines, mg.LineBasicMaterial(color=to_int(GREY), opacity=0.35))
-    vis[f"{ROOT}/grid"].set_object(grid)
-    vis[ROOT].set_transform(tf.translation_matrix(-view.centre))
+    paint = paint_material("LineBasicMaterial", to_int(GREY), 0.35)
+    vis[f"{ROOT}/grid"].set_object(make_lines(np.array(ends)), paint, "LineSegments")
+    vis[ROOT].set_transform(shift(-view.centre))
     aside, above = np.sin(AZIMUTH) * np.cos(ELEVATION), np.sin(ELEVATION)
     vis[CAMERA].set_property("fov", FIELD_OF_VIEW)
     before = float(np.cos(AZIMUTH) * np.cos(ELEVATION))

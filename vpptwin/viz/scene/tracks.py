@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import umsgpack
-from meshcat.path import Path as NodePath
+
+from vpptwin.viz.scene.nodes import join_path, write_path
 
 FLOAT32_ARRAY = 0x17  # msgpack extension that the viewer unpacks into a Float32Array
 HOLD = 2300  # three.js InterpolateDiscrete
@@ -69,6 +70,6 @@ class Animation:
         for track in self.tracks:
             clips.setdefault(track.path, []).append(track.lower())
         return [
-            {"path": NodePath(()).append(path).lower(), "clip": {"fps": 1, "name": "default", "tracks": tracks}}
+            {"path": write_path(join_path((), path)), "clip": {"fps": 1, "name": "default", "tracks": tracks}}
             for path, tracks in clips.items()
         ]

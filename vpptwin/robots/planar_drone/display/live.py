@@ -10,10 +10,8 @@ from contextlib import closing
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
-import meshcat.transformations as tf
 import mujoco
 import numpy as np
-from meshcat import Visualizer
 
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.robots.planar_drone.display import rotors
@@ -27,6 +25,7 @@ from vpptwin.viz.pages.page import TEMPLATES
 from vpptwin.viz.pages.serve import LOOPBACK, Answer, Server, keep_going
 from vpptwin.viz.scene.camera import CameraView
 from vpptwin.viz.scene.geoms import ROOT, name_body
+from vpptwin.viz.scene.nodes import Node, shift, turn
 from vpptwin.viz.scene.stage import aim_at, draw_bodies, draw_surroundings, make_matrix
 
 if TYPE_CHECKING:
@@ -54,7 +53,7 @@ class LiveStage:
         vehicle: numbers of the craft.
     """
 
-    def __init__(self, vis: Visualizer, model: mujoco.MjModel, vehicle: Vehicle) -> None:
+    def __init__(self, vis: Node, model: mujoco.MjModel, vehicle: Vehicle) -> None:
         self._model, self._vehicle, self._data = copy.copy(model), vehicle, mujoco.MjData(model)
         fit_craft(self._model, vehicle)
         self._node = vis[f"{ROOT}/log"]
@@ -81,19 +80,19 @@ class LiveStage:
             pose = make_matrix(self._data.xpos[body], self._data.xquat[body])
             self._node[name_body(self._model, int(body))].set_transform(pose)
         half = -0.5 * target[2]  # θ turns about -y
-        turn = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
-        self._ghost.set_transform(make_matrix(np.array([target[0], 0.0, target[1]]), turn))
+        attitude = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
+        self._ghost.set_transform(make_matrix(np.array([target[0], 0.0, target[1]]), attitude))
         for i, sign in enumerate(rotors.TURN_SIGNS):
             spin = self._craft[f"rotor_{i + 1}"]["spin"]
-            spin.set_transform(tf.rotation_matrix(sign * motion.angle[0, i] / rotors.TURN_SLOWDOWN, [0, 0, 1]))
+            spin.set_transform(turn(sign * motion.angle[0, i] / rotors.TURN_SLOWDOWN, [0, 0, 1]))
             for blade, _ in BLADES:
-                feather = tf.rotation_matrix(sign * rotors.PITCH_EXAGGERATION * motion.blade_pitch[0, i], [1, 0, 0])
+                feather = turn(sign * rotors.PITCH_EXAGGERATION * motion.blade_pitch[0, i], [1, 0, 0])
                 spin[blade]["feather"].set_transform(feather)
         for node, length in measure_arrows(motion.thrust[0], self._vehicle):
             arrow = self._craft[node]
             arrow.set_property("visible", bool(length > rotors.SHORTEST_ARROW))
             arrow["shaft"].set_transform(np.diag([1.0, 1.0, length, 1.0]))
-            arrow["head"].set_transform(tf.translation_matrix([0.0, 0.0, length]))
+            arrow["head"].set_transform(shift([0.0, 0.0, float(length)]))
 
 
 class LivePage:
@@ -133,7 +132,7 @@ def fly_live(begin: Callable[[], LiveFlight], host: str = LOOPBACK, port: int = 
     panel = LivePage(KEYS.values(), host, port)
     with until_interrupted(), closing(panel.server):
         spec, still = load_twin("nominal"), RotorMotion(*np.zeros((3, 1, 2)))
-        LiveStage(Visualizer(window=panel.server), spec.model, spec.vehicle).show(START, START, still)
+        LiveStage(Node(panel.server), spec.model, spec.vehicle).show(START, START, still)
         about = "shows the flight, with buttons and keys to flip and push it. Ctrl-C here to end."
         tell_address(panel.server, about)
         flight = begin()
@@ -146,7 +145,7 @@ def fly_live(begin: Callable[[], LiveFlight], host: str = LOOPBACK, port: int = 
 def fly_on(flight: LiveFlight, panel: LivePage) -> None:
     """Fly what has begun, on a page that is open."""
     env, vehicle = flight.env, flight.env.twin.vehicle
-    stage = LiveStage(Visualizer(window=panel.server), env.twin.spec.model, vehicle)
+    stage = LiveStage(Node(panel.server), env.twin.spec.model, vehicle)
     angle, redraw, due = np.zeros(2), 0.0, time.perf_counter()
     for _ in keep_going():
         while not panel.asked.empty():  # only this loop takes from it

@@ -20,10 +20,10 @@ from vpptwin.viz.scene.geoms import ROOT, ROUND, Paint, name_body
 from vpptwin.viz.scene.show import LegendEntry, Overlay, Positions, Show
 
 if TYPE_CHECKING:
-    from meshcat import Visualizer
     from PIL.ImageDraw import ImageDraw
 
     from vpptwin.estimation.replay import Prediction
+    from vpptwin.viz.scene.nodes import Node
     from vpptwin.viz.scene.tracks import KeyframeTrack
 
 
@@ -63,9 +63,9 @@ class CraftOverlay(Overlay):
         )
         return slow, "Thrust: k_T × speed × commanded pitch."
 
-    def draw_parts(self, vis: Visualizer, show: Show, name: str, paint: Paint | None) -> list[KeyframeTrack]:
+    def draw_parts(self, vis: Node, show: Show, name: str, paint: Paint | None) -> list[KeyframeTrack]:
         """Rotors, with thrust arrows where they have their own colours."""
-        from vpptwin.robots.planar_drone.display import scene  # meshcat takes half a second, and few commands draw
+        from vpptwin.robots.planar_drone.display import scene  # few commands draw
 
         craft, motion = f"{ROOT}/{name}/{name_body(show.model, find_craft(show.model))}", getattr(self, name)
         scene.draw_rotors(vis[craft], show.model, self.vehicle, paint)
@@ -77,7 +77,7 @@ class CraftOverlay(Overlay):
             tracks += scene.track_arrows(craft, self.time, motion, self.vehicle)
         return tracks
 
-    def draw_target(self, vis: Visualizer, show: Show) -> list[KeyframeTrack]:
+    def draw_target(self, vis: Node, show: Show) -> list[KeyframeTrack]:
         """The ghost at the setpoint."""
         from vpptwin.robots.planar_drone.display import scene
 

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import meshcat.geometry as mg
-import meshcat.transformations as tf
 import mujoco
 import numpy as np
-from meshcat import Visualizer
 
 from vpptwin.actuators.blade import max_thrust
 from vpptwin.robots.planar_drone.display import rotors
@@ -17,6 +14,7 @@ from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.viz.plots.palette import BLADE, NEGATIVE_THRUST, POSITIVE_THRUST, TARGET, TOP_MARK
 from vpptwin.viz.scene.geoms import ROOT, Paint
 from vpptwin.viz.scene.meshes import make_cone, make_cylinder, make_material
+from vpptwin.viz.scene.nodes import Node, make_box, make_ellipsoid, shift, turn
 from vpptwin.viz.scene.stage import draw_geom
 from vpptwin.viz.scene.tracks import KeyframeTrack, make_track
 
@@ -26,29 +24,29 @@ BLADES = (("blade_a", 0.0), ("blade_b", np.pi))
 """Name and angle about the hub [rad]."""
 
 
-def draw_rotors(craft: Visualizer, model: mujoco.MjModel, vehicle: Vehicle, paint: Paint | None = None) -> None:
+def draw_rotors(craft: Node, model: mujoco.MjModel, vehicle: Vehicle, paint: Paint | None = None) -> None:
     """Masts, blades and a mark on top of the craft, below its node; paint overrides all colours (the twin)."""
-    craft["top"].set_object(mg.Ellipsoid([0.03, 0.02, 0.014]), make_material(paint or Paint(TOP_MARK)))
-    craft["top"].set_transform(tf.translation_matrix([0.0, 0.0, 0.018]))
+    craft["top"].set_object(make_ellipsoid([0.03, 0.02, 0.014]), make_material(paint or Paint(TOP_MARK)))
+    craft["top"].set_transform(shift([0.0, 0.0, 0.018]))
     for number in (1, 2):
         hub, radius = find_rotor(model, vehicle, number)
         rotor, blade = craft[f"rotor_{number}"], paint or Paint(BLADE)
-        rotor.set_transform(tf.translation_matrix(hub))
+        rotor.set_transform(shift(hub))
         rotor["mast"].set_object(make_cylinder(rotors.ROOT_RADIUS, -hub[2], 0.006), make_material(blade))
         span = radius - rotors.ROOT_RADIUS
         for name, angle in BLADES:
             root = rotor["spin"][name]
-            root.set_transform(tf.rotation_matrix(angle, [0, 0, 1]))
-            root["feather"]["skin"].set_object(mg.Box([span, rotors.CHORD, rotors.THICKNESS]), make_material(blade))
-            root["feather"]["skin"].set_transform(tf.translation_matrix([rotors.ROOT_RADIUS + 0.5 * span, 0.0, 0.0]))
+            root.set_transform(turn(angle, [0, 0, 1]))
+            root["feather"]["skin"].set_object(make_box([span, rotors.CHORD, rotors.THICKNESS]), make_material(blade))
+            root["feather"]["skin"].set_transform(shift([rotors.ROOT_RADIUS + 0.5 * span, 0.0, 0.0]))
 
 
-def draw_arrows(craft: Visualizer) -> None:
+def draw_arrows(craft: Node) -> None:
     """One arrow per rotor and sign of thrust, of unit length; needs draw_rotors for its place."""
     for number in (1, 2):
         for name, sign, colour in ARROWS:
             arrow = craft[f"rotor_{number}"][f"{name}_thrust"]
-            arrow.set_transform(tf.rotation_matrix(0.0 if sign > 0.0 else np.pi, [1, 0, 0]))
+            arrow.set_transform(turn(0.0 if sign > 0.0 else np.pi, [1, 0, 0]))
             arrow["shaft"]["solid"].set_object(
                 make_cylinder(rotors.SHAFT_RADIUS, 0.0, 1.0), make_material(Paint(colour))
             )
@@ -57,7 +55,7 @@ def draw_arrows(craft: Visualizer) -> None:
             )
 
 
-def draw_ghost(vis: Visualizer, model: mujoco.MjModel, vehicle: Vehicle) -> None:
+def draw_ghost(vis: Node, model: mujoco.MjModel, vehicle: Vehicle) -> None:
     """Draw the craft once more, as what shows the setpoint."""
     for geom in np.flatnonzero(model.geom_bodyid == find_craft(model)):
         draw_geom(vis, model, int(geom), TARGET_PAINT)
