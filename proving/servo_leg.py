@@ -1,6 +1,6 @@
 """A quadruped's leg in the air, trunk on a stand, with position servos, simulated by Pinocchio: no physics of vpptwin.
 
-Targets go to roll, hip and knee at 50 Hz; encoders count 0.4 mrad at 100 Hz. Steps of 0.5 ms, friction of its own.
+Targets go to roll, hip and knee at 50 Hz; encoders count 0.4 mrad at 100 Hz. Steps of 0.25 ms, friction of its own.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LINKS = {
 """Axis and place [m] of the joint above; mass [kg], centre of mass [m], moments about it [kg m²]."""
 TIP = np.array([0.0, 0.0, -0.20])  # m
 ROTOR, STIFF, DAMP, MOST, DRY, VISCOUS, GRAVITY = 0.012, 25.0, 0.6, 8.0, 0.12, 0.03, 9.81
-STEP, PERIOD, COUNT, SLIDING = 5e-4, 0.01, 4e-4, 5e-3  # s, s, rad, rad/s
+STEP, PERIOD, COUNT, SLIDING = 2.5e-4, 0.01, 4e-4, 1e-3  # s, s, rad, rad/s
 PLACES = ((0.0, 0.35), (0.6, 0.7), (-1.3, 0.7))
 """Middle and reach of every joint's targets [rad]."""
 
@@ -37,7 +37,7 @@ def _write(name: str, joint: str) -> str:
     )
 
 
-MJCF = f"""<mujoco model="servo_leg"><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
+MJCF = f"""<mujoco model="servo_leg"><compiler angle="radian"/><option timestep="0.001" integrator="implicitfast"/>
 <default><joint armature="{ROTOR}" frictionloss="{DRY}" damping="{VISCOUS}"/>
 <position kp="{STIFF}" kv="{DAMP}" forcerange="-{MOST} {MOST}"/></default>
 <worldbody>{"".join(map(_write, LINKS, JOINTS))}</body></body></body></worldbody>

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 WORLDS = (
-    "drones", "carts", "pendula", "cart-poles", "double-pendula", "arms", "servos", "legs", "quadrotors", "watched",
+    "drones", "carts", "pendula", "cart-poles", "double-pendula", "arms", "servos", "legs", "quadrotors", "pairs",
+    "watched",
 )  # fmt: skip
 """Of worlds.py, which takes seconds to import."""
 
@@ -55,6 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     board = commands.add_parser("board", help="score all answers; write the board as JSON, Markdown and pictures")
     board.add_argument("folder", type=Path)
     board.add_argument("--out", type=Path, required=True, help="folder")
+    board.add_argument("--seed", type=int, help="of a secret set, to publish it now that all have answered")
     given = parser.parse_args(arguments)
     try:
         return COMMANDS[given.command](given)
@@ -162,7 +164,10 @@ def run_tune(given: argparse.Namespace) -> int:
 def run_board(given: argparse.Namespace) -> int:
     """Score and write the board."""
     from proving.simgap.board import write_board
+    from proving.simgap.sets import publish_seed
 
+    if given.seed is not None:
+        publish_seed(given.folder, given.seed)
     for path in write_board(given.folder, given.out):
         print(path)
     return 0

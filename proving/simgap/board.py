@@ -62,7 +62,9 @@ def tune_entrants(folder: Path) -> dict[str, float]:
     for entrant in list_entrants(folder):
         answers = read_answers(folder, entrant, sessions)
         given = [
-            (a["evidence"], list(s.causes), t.answer) for s, t in sessions if (a := answers[s.name]) and "evidence" in a
+            (a["evidence"], list(s.causes), t.answer)
+            for s, t in sessions
+            if (a := answers[s.name]) and "evidence" in a and s.many == 1
         ]
         if given:
             best, found[entrant] = tune(given)
@@ -142,7 +144,7 @@ def find_reliability(
         given = answers[session.name]
         if given and given.get("probabilities"):
             told = complete_answer(given["probabilities"], list(session.causes))
-            said += [(p, name == truth.answer) for name, p in told.items()]
+            said += [(min(1.0, session.many * p), name in truth.present) for name, p in told.items()]
     if not said:
         return []
     values, right = (np.array(column, float) for column in zip(*said))

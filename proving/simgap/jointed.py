@@ -50,9 +50,10 @@ def list_causes(rig: Rig, scale: Scale) -> dict[str, Cause]:
 
 
 def draw_rig(
-    rng: np.random.Generator, number: int, kind: str, deal: Deal, families: Sequence[str], watch: bool = False
+    rng: np.random.Generator, number: int, kind: str, deal: Deal, families: Sequence[str], watch: bool = False,
+    many: int = 1,
 ) -> Made:  # fmt: skip
-    """A session of a rig of one of these families."""
+    """A session of a rig of one of these families, with so many causes where there is one that is listed."""
     rig = FAMILIES[families[number % len(families)]](rng)
     hidden: tuple[Hidden, ...] = ()
     if watch and rng.random() < 0.75:
@@ -62,6 +63,9 @@ def draw_rig(
         hidden = (draw_hidden(rng, rig, outside=True, turn=deal(list(pool))),)
     elif kind == "single" and not watch:
         hidden = (draw_hidden(rng, rig, turn=deal(list({k for k, _ in list_kinds(rig, False)}))),)
+        while len(hidden) < many:
+            other = draw_hidden(rng, rig)
+            hidden += (other,) if other.effect not in {one.effect for one in hidden} else ()
     motions = shorten(draw_motions(rng, rig), 2, 15.0)
     held = shorten(draw_motions(rng, rig), 1, 12.0)
     rate = int(rng.choice(RATES[:3] if rig.family == "arm" else RATES[:4]))
@@ -72,17 +76,18 @@ def draw_rig(
     if watch:
         return watch_rig(plan)
     logs, found, scale = simulate(plan, held_out=1)
-    truth = Truth(NOTHING)
-    for one in hidden:
-        size = first(found.hidden[one.effect] if one.outside else found.true[one.effect])
-        seen = found.visibility[one.effect]
+    truth, causes = Truth(NOTHING), list_causes(rig, scale)
+    if hidden:
+        told = {h.effect: first(found.hidden[h.effect] if h.outside else found.true[h.effect]) for h in hidden}
+        seen = [found.visibility[h.effect] for h in hidden]
         truth = Truth(
-            UNKNOWN if one.effect not in list_causes(rig, scale) else one.effect, {one.effect: float(f"{size:.6g}")},
-            seen.seen, seen.apart, list(seen.alike),
+            hidden[0].effect if hidden[0].effect in causes else UNKNOWN,
+            {name: float(f"{size:.6g}") for name, size in told.items()}, min(one.seen for one in seen),
+            min(one.apart for one in seen), [name for one in seen for name in one.alike if name not in told],
         )  # fmt: skip
-    return assemble(
-        rig.write_mjcf(), logs, list_causes(rig, scale), truth, describe_sensors(rng, plan, scale), name_units(rig)
-    )
+    sheet = describe_sensors(rng, plan, scale)
+    session, logs, truth = assemble(rig.write_mjcf(), logs, causes, truth, sheet, name_units(rig))
+    return replace(session, many=many), logs, truth
 
 
 def watch_rig(plan: Plan) -> Made:

@@ -81,23 +81,28 @@ def score_answer(answer: Mapping[str, Any] | None, session: Session, truth: Trut
 def score_name(given: Mapping[str, Any], session: Session, truth: Truth) -> dict[str, float]:
     """Scores of cause and size."""
     told = complete_answer(given.get("probabilities") or SILENT, list(session.causes))
-    groups = session.groups
-    grouped, right = group_answer(told, groups), groups.get(truth.answer, truth.answer)
+    true, groups = truth.present, session.groups
+    grouped, right = group_answer(told, groups), {groups.get(name, name) for name in true}
+    there = {name: min(1.0, session.many * p) if name in session.causes else p for name, p in told.items()}
     samples = given.get("sizes", {})
     off, scales = ({k: getattr(c, name) for k, c in session.causes.items()} for name in ("off", "scale"))
     sizes = {cause: size for cause, size in truth.sizes.items() if cause in session.causes}
     scores = {
-        "log": score_log(told, truth.answer), "brier": score_brier(told, truth.answer),
-        "log_group": score_log(grouped, right), "brier_group": score_brier(grouped, right),
-        "first": float(max(told, key=lambda name: told[name]) == truth.answer),
-        "sizes": score_sizes(told, samples, sizes, off, scales),
-        "confident": float(is_confident_error(told, truth.answer)),
+        "log": score_log(told, *true), "brier": score_brier(told, *true),
+        "log_group": score_log(grouped, *right), "brier_group": score_brier(grouped, *right),
+        "first": float(max(told, key=lambda name: told[name]) in true),
+        "sizes": score_sizes(there, samples, sizes, off, scales),
+        "confident": float(is_confident_error(told, *true)),
     }  # fmt: skip
     if truth.answer == NOTHING:
         scores["alarm"] = float(any(p >= LIKELY for name, p in told.items() if name in session.causes))
-    if truth.answer in samples and told[truth.answer] >= LIKELY and len(samples[truth.answer]) > 1:
-        low, high = np.quantile(samples[truth.answer], [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2])
-        scores["held"] = float(low <= truth.sizes[truth.answer] <= high)
+    held = []
+    for name in true:
+        if name in samples and there[name] >= LIKELY and len(samples[name]) > 1:
+            low, high = np.quantile(samples[name], [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2])
+            held.append(low <= truth.sizes[name] <= high)
+    if held:
+        scores["held"] = float(np.mean(held))
     return scores
 
 

@@ -40,14 +40,14 @@ def group_answer(answer: Mapping[str, float], groups: Mapping[str, str]) -> dict
     return found
 
 
-def score_log(answer: Mapping[str, float], truth: str) -> float:
-    """Surprise at the truth [nats]."""
-    return -float(np.log(answer[truth]))
+def score_log(answer: Mapping[str, float], *truths: str) -> float:
+    """Mean surprise at what is true, less that of equal shares of it [nats]."""
+    return -float(np.mean([np.log(len(truths) * answer[truth]) for truth in truths]))
 
 
-def score_brier(answer: Mapping[str, float], truth: str) -> float:
-    """Squared distance from certainty of the truth: 0 to 2."""
-    return float(sum((p - (name == truth)) ** 2 for name, p in answer.items()))
+def score_brier(answer: Mapping[str, float], *truths: str) -> float:
+    """Squared distance from equal shares of what is true: 0 to 2."""
+    return float(sum((p - (name in truths) / len(truths)) ** 2 for name, p in answer.items()))
 
 
 def score_sizes(
@@ -92,9 +92,9 @@ def score_prediction(measured: np.ndarray, samples: np.ndarray, scale: np.ndarra
     return float(np.mean(es_ensemble(truth, told, backend="numpy")) / np.sqrt(truth.shape[1]))
 
 
-def is_confident_error(answer: Mapping[str, float], truth: str, confident: float = 0.9) -> bool:
+def is_confident_error(answer: Mapping[str, float], *truths: str, confident: float = 0.9) -> bool:
     """Whether something else than the truth is given that much."""
-    return any(p >= confident for name, p in answer.items() if name != truth)
+    return any(p >= confident for name, p in answer.items() if name not in truths)
 
 
 def bootstrap(

@@ -83,7 +83,7 @@ class Truth:
     """What is true of a session.
 
     Attributes:
-        answer: the cause, `nothing`, or `unknown` for what is not among the causes.
+        answer: the cause (of several the first), `nothing`, or `unknown` for what is not among the causes.
         sizes: cause → size; of what is unknown, its numbers.
         seen: sigma by which the runs show it; None where that is not worked out.
         apart: likewise from its nearest look-alike.
@@ -101,6 +101,11 @@ class Truth:
     forecasts: list[Any] = field(default_factory=list)
     onset: float | None = None
     salt: str = ""
+
+    @property
+    def present(self) -> list[str]:
+        """All causes that are there, or else `answer`."""
+        return list(self.sizes) if len(self.sizes) > 1 else [self.answer]
 
     @property
     def difficulty(self) -> str:
@@ -133,6 +138,7 @@ class Session:
         known: cause → size that the owner knows beside the model, such as a motor's lag.
         runs: all recordings; of the track `watch`, the last is the one to watch and nothing is wrong in the others.
         windows: forecasts to make.
+        many: how many causes there are, where there is any that is listed.
     """
 
     name: str
@@ -145,6 +151,7 @@ class Session:
     known: dict[str, float]
     runs: list[Run]
     windows: list[Window]
+    many: int = 1
 
     @property
     def world(self) -> str:

@@ -71,6 +71,18 @@ def commit_seed(seed: int) -> str:
     return hashlib.sha256(f"simgap seed {seed}".encode()).hexdigest()
 
 
+def publish_seed(folder: Path, seed: int) -> None:
+    """Write the seed of a secret set into its manifest, once all have answered.
+
+    Raises:
+        ValueError: where it is not the one that was committed to.
+    """
+    manifest = read_manifest(folder)
+    if manifest["seed_sha256"] != commit_seed(seed):
+        raise ValueError(f"{seed} is not the seed of {folder}: its hash is not the one in manifest.json")
+    (folder / "manifest.json").write_text(json.dumps(manifest | {"seed": seed}, indent=1) + "\n")
+
+
 def hash_folder(home: Path) -> str:
     """SHA-256 of the names and contents of a session's files, MCAP left out (its bytes depend on the library)."""
     parts = {

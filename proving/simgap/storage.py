@@ -50,7 +50,7 @@ def write_session(session: Session, logs: Sequence[Log], truth: Truth, folder: P
         "columns": {name: asdict(column) for name, column in session.columns.items()},
         "causes": {name: asdict(cause) for name, cause in session.causes.items()},
         "scales": session.scales, "data_sheet": session.data_sheet, "known": session.known,
-        "truth_sha256": truth.seal(),
+        "truth_sha256": truth.seal(), **({"many": session.many} if session.many > 1 else {}),
     }  # fmt: skip
     (home / "session.json").write_text(json.dumps(content, indent=1) + "\n")
     sealed = folder / "truth"
@@ -83,7 +83,7 @@ def read_session(home: Path) -> Session:
     return Session(
         content["session"], content["tracks"], (home / content["model"]).read_text(), columns,
         {name: Cause(**cause) for name, cause in content["causes"].items()}, content["scales"], content["data_sheet"],
-        content["known"], [read_table(home / run) for run in content["runs"]], windows,
+        content["known"], [read_table(home / run) for run in content["runs"]], windows, content.get("many", 1),
     )  # fmt: skip
 
 

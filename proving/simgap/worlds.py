@@ -1,7 +1,7 @@
 """The worlds: simulations of their own, from which sessions are drawn.
 
 None shares physics with an entrant: they integrate their own equations of motion (Pinocchio's for arms), with friction,
-drives and sensors of their own. In every session one thing is wrong with the nominal model, or nothing.
+drives and sensors of their own. In a session one thing is wrong with the nominal model, or nothing; in `pairs` two are.
 """
 
 from __future__ import annotations
@@ -67,6 +67,7 @@ WORLDS: dict[str, Callable[[np.random.Generator, int, str, Deal], Made]] = {
         off={"gain": 1.0, "time_constant": quadrotor.LAG}, units=dict.fromkeys("xyz", "m"),
         known={"m1+m2+m3+m4.lag": quadrotor.LAG},
     ),
+    "pairs": partial(draw_rig, families=("carriage", "damped cart", "cart-pole", "double pendulum"), many=2),
     "watched": partial(draw_rig, families=("carriage", "damped cart", "cart-pole", "double pendulum"), watch=True),
 }  # fmt: skip
 """Name → what draws a session."""

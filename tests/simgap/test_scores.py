@@ -50,6 +50,15 @@ def test_honest_probabilities_score_best(score) -> None:  # noqa: ANN001
         assert expect(honest) <= expect(other) + 1e-12
 
 
+def test_two_causes_by_hand() -> None:
+    """Half on each is best: 0.4975 with the spread; all on one leaves 0.0025 for the other."""
+    halves, one = complete_answer({"a": 0.5, "b": 0.5}, CAUSES), complete_answer({"a": 1.0}, CAUSES)
+    assert score_log(halves, "a", "b") == pytest.approx(-math.log(2 * 0.4975))
+    assert score_log(one, "a", "b") == pytest.approx(-0.5 * (math.log(2 * 0.9925) + math.log(2 * 0.0025)))
+    assert score_brier(halves, "a", "b") == pytest.approx(4 * 0.0025**2)
+    assert not is_confident_error(one, "a", "b")
+
+
 def test_sizes_by_hand() -> None:
     """A sure point misses by its distance; half a probability on it leaves 0.5 x 2 - 0.25 x 2 = 0.5 of a size of 2."""
     off, scales = {"a": 0.0}, {"a": 1.0}

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from proving import servo_leg
+from proving.simgap.results import score_answer
 from proving.simgap.scores import NOTHING, UNKNOWN
 from proving.simgap.session import HORIZONS, MOTION
-from proving.simgap.sets import check_set, commit_seed, draw_set, hash_set, list_sessions, read_manifest
+from proving.simgap.sets import check_set, commit_seed, draw_set, hash_set, list_sessions, publish_seed, read_manifest
 from proving.simgap.storage import read_session, read_truth
 from proving.simgap.worlds import WORLDS, draw_session
 from tests.simgap.builders import draw_small_set
@@ -92,8 +93,12 @@ def test_secret_seed_is_not_written(tmp_path: Path) -> None:
     assert manifest["seed"] is None
     assert manifest["seed_sha256"] == commit_seed(12345)
     assert not any("12345" in path.read_text() for path in tmp_path.rglob("*.json"))
+    with pytest.raises(ValueError, match="12346 is not the seed"):
+        publish_seed(tmp_path, 12346)
     with pytest.raises(ValueError, match="another seed"):
         draw_set(tmp_path, 12346, {"pendula": [1]}, public=False)
+    publish_seed(tmp_path, 12345)
+    assert read_manifest(tmp_path)["seed"] == 12345
 
 
 @pytest.mark.parametrize("world", [w for w in WORLDS if w not in (*SLOW, "pendula", "watched")])
@@ -112,6 +117,20 @@ def test_worlds_draw(world: str) -> None:
 def test_slow_worlds_draw(world: str) -> None:
     """Likewise."""
     test_worlds_draw(world)
+
+
+def test_two_causes_are_drawn(tmp_path: Path) -> None:
+    """They are two, at their sizes, and how many there may be is told to entrants, and only there."""
+    numbers = [n for n in range(4) if draw_session("pairs", 5, n)[2].answer not in (NOTHING, UNKNOWN)][:1]
+    draw_set(tmp_path, 5, {"pairs": numbers, "pendula": [0]}, public=True)
+    pair, single = list_sessions(tmp_path)
+    session, truth = read_session(pair), read_truth(tmp_path, pair)
+    assert session.many == 2
+    assert len(set(truth.present) & set(session.causes)) == 2
+    scores = score_answer({"probabilities": dict.fromkeys(truth.present, 0.5)}, session, truth)
+    assert scores["log"] < 0.02
+    assert scores["first"] == 1.0
+    assert "many" not in json.loads((single / "session.json").read_text())
 
 
 def test_leg_moves_as_mujoco_has_it() -> None:
