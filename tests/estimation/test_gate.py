@@ -247,6 +247,22 @@ def test_shipped_examples_pass(twin: str, pattern: str, shared_data: Path) -> No
         vet(spec, read_flight(log, signals=spec.robot.signals.entries))
 
 
+def test_a_range_in_another_unit_is_refused(tmp_path: Path) -> None:
+    """MuJoCo reads degrees where nothing says radian."""
+    world, _ = WORLDS["servo"]
+    twin = world.write_twin(tmp_path)
+    spec = load_twin(twin)
+    log = find_case("servo")[1][0]
+    model = next(tmp_path.glob("*.xml"))
+    joint = next(iter(spec.robot.signals.joints))
+    model.write_text(
+        model.read_text().replace(f'name="{joint}"', f'name="{joint}" limited="true" range="-0.02 0.02"', 1)
+    )
+    spec = load_twin(twin)
+    with pytest.raises(InputError, match=r"beyond its range of -0.02 to 0.02 rad"):
+        vet(spec, read_flight(log, signals=spec.robot.signals.entries))
+
+
 @pytest.mark.parametrize(("wall", "refused"), [("5 0.1 0.1", True), ("0.1 5 0.1", False)])
 def test_parts_that_lie_in_each_other_are_refused(tmp_path: Path, wall: str, refused: bool) -> None:
     """A cart all along within its rail's geom is held by the solver; one that meets a wall at times is not refused."""
@@ -272,6 +288,45 @@ def test_columns_with_one_mistake_are_named_together() -> None:
     with pytest.raises(InputError) as refused:
         vet(spec, scale("actuators", DEGREES, "effort")(spec, flight))
     assert str(refused.value).count("unit: deg") == len(spec.robot.signals.actuators)
+
+
+def test_a_unit_that_the_twin_says_too_much_is_taken_away(tmp_path: Path) -> None:
+    """A twin that says mm of a log in m is told to leave that out, not to scale the velocity."""
+    case = write_kind("step", 1, tmp_path)
+    twin = tmp_path / "twin.yaml"
+    text, count = re.subn(r"position: {path: slide}", "position: {path: slide, unit: mm}", twin.read_text())
+    assert count == 1
+    twin.write_text(text)
+    spec = load_twin(twin)
+    with pytest.raises(InputError) as refused:
+        vet(spec, read_flight(case.logs[0], signals=spec.robot.signals.entries))
+    assert "scale" not in str(refused.value)
+
+
+def test_forces_behind_a_gear_are_told_from_what_goes_into_it(tmp_path: Path) -> None:
+    """A pulley's gear in the MJCF, and a log of the force that it makes."""
+    case = write_kind("sweep", 1, tmp_path)
+    (tmp_path / "rig.xml").write_text((tmp_path / "rig.xml").read_text().replace('gear="1.08"', 'gear="50"'))
+    spec = load_twin(tmp_path / "twin.yaml")
+    with pytest.raises(InputError, match=r"behind the gear already.*scale: 0.02"):
+        vet(spec, read_flight(case.logs[0], signals=spec.robot.signals.entries))
+
+
+def test_a_position_that_never_changes_while_its_velocity_does_is_refused() -> None:
+    """The twin names another column than it means."""
+    spec, flight = load_case("step_1")
+    (name, topic), *_ = spec.robot.signals.joints.items()
+    with pytest.raises(InputError, match="position is 0 throughout"):
+        vet(spec, alter(flight, topic, name, position=np.zeros_like))
+
+
+def test_seconds_that_are_called_milliseconds_are_refused(tmp_path: Path) -> None:
+    """No log has so many messages a second."""
+    case = write_kind("step", 1, tmp_path)
+    case.logs[0].write_text(case.logs[0].read_text().replace("t;", "t [ms];", 1))
+    spec = load_twin(tmp_path / "twin.yaml")
+    with pytest.raises(InputError, match="at most 100,000 messages a second; if its clock counts seconds"):
+        read_flight(case.logs[0], signals=spec.robot.signals.entries)
 
 
 @pytest.mark.parametrize(("effect", "values"), [

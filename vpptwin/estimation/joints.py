@@ -242,6 +242,8 @@ def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str], read
     """
     streams = {name: find_joint(flight, topic, name) for name, topic in actuators.items()}
     if not streams:
+        if spec.model.nu:
+            read.warnings.append("no actuator of the MJCF has a signal: all inputs stay at zero")
         return Series("control", "", np.array([0.0, flight.duration]), np.zeros((2, spec.model.nu)), 0.0)
     time = np.unique(np.concatenate([s.time for s in streams.values()]))
     time = time[time >= max(s.time[0] for s in streams.values())]

@@ -33,8 +33,10 @@ HOPELESS = 0.6
 """Share from which on a reading is not looked at any closer."""
 LATE = (0.0, 0.03, 0.06)
 """By which efforts may act late [s]."""
-MIN_ROWS, ROWS, FEW = 40, 250, 80
-"""Instants at which forces are looked at: at least, closely, and at a glance."""
+MIN_ROWS, ROWS, FEW, MIN_MOVING = 40, 250, 80, 15
+"""Instants at which forces are looked at: at least, closely, and at a glance; at least of those with motion."""
+RESTLESS = 0.7
+"""Share of the time for which a joint moves, below which the instants at which it rests are left out."""
 SMOOTH = 0.05
 """Share of the usual speed over which Coulomb friction turns round."""
 
@@ -139,14 +141,26 @@ def explain(
         for dof in np.flatnonzero((sizes[0] > 0.0) & np.isfinite(sum(sizes))):
             size, speed = float(sizes[0][dof]), max(float(velocity[:, dof].std()), 1e-9)
             rate = velocity[:, dof] / speed
-            beside = np.column_stack([np.ones(len(rate)), rate, np.tanh(rate / SMOOTH)])
-            bounded = np.column_stack([-rest[:, dof], actuator[:, dof]]) / size
+            used = choose_moving(rate)
+            beside = np.column_stack([np.ones(len(rate)), rate, np.tanh(rate / SMOOTH)])[used]
+            bounded = (np.column_stack([-rest[:, dof], actuator[:, dof]]) / size)[used]
             for i, within in enumerate(bounds):
-                (weight, _), square = fit_bounded(bounded, beside, inertial[:, dof] / size, within)
+                (weight, _), square = fit_bounded(bounded, beside, inertial[used, dof] / size, within)
                 left[i, dof] = square / max(1.0, (weight * sizes[1][dof] / size) ** 2)
                 left[3, dof] = square if i == 1 else left[3, dof]
         found.append(left)
     return Explained(*np.min(found, axis=0))
+
+
+def choose_moving(rate: np.ndarray) -> np.ndarray:
+    """Instants (n,) bool at which a joint moves, where it rests often: at rest friction is any force up to a level.
+
+    Args:
+        rate: (n,) as a share of the usual speed.
+    """
+    moving = np.abs(rate) > 2.0 * SMOOTH
+    rests = np.mean(moving) < RESTLESS and np.count_nonzero(moving) >= MIN_MOVING
+    return moving if rests else np.ones(len(rate), dtype=bool)
 
 
 def fit_bounded(

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from vpptwin.estimation.checks.balance import compare_forces
-from vpptwin.estimation.checks.overlap import refuse_overlap
+from vpptwin.estimation.checks.model import refuse_beyond, refuse_overlap
 from vpptwin.estimation.checks.readings import Misread, compose_entry, locate_line, name_columns
 from vpptwin.estimation.checks.slopes import compare_ranges, compare_slopes, compare_targets
 from vpptwin.estimation.series import Measurements
@@ -44,6 +44,7 @@ def check_columns(spec: TwinSpec, flights: Sequence[Flight], measurements: Seque
     flight, misread = compare_forces(spec, flights, measurements)
     if misread is not None:
         object_to(compose_error(spec, flight, misread))
+    refuse_beyond(spec, measurements)
     refuse_overlap(spec, measurements)
 
 

@@ -156,6 +156,10 @@ def rescale(spec: TwinSpec, columns: Sequence[Column], unit: str, others: Sequen
     for other in others if any(is_scaled(spec.robot.signals, column) for column in columns) else ():
         looks = f"in {unit}, and scaled as if it were in {other}"
         yield Reading(looks, unit, scale_columns(columns, 1.0 / UNITS[other][1]))
+    given = {tell_factor(spec.robot.signals, column) for column in columns}
+    for other in others if len(given) == 1 and given != {1.0} else ():  # mm that are cm
+        if (factor := UNITS[other][1] / next(iter(given))) != 1.0:
+            yield Reading(f"in {other}", unit, scale_columns(columns, factor, other))
 
 
 def list_readings(spec: TwinSpec, flight: Flight) -> Iterator[Reading]:
@@ -178,9 +182,19 @@ def list_readings(spec: TwinSpec, flight: Flight) -> Iterator[Reading]:
             changes = scale_columns(group, -1.0)
             yield Reading("of the other sign", "a push in the joint's sense", changes)
             yield from rescale(spec, group, unit, others)
+        yield from list_geared(spec, [column for column in alone if not rotary])
     for _, columns in kin.values() if len(kin) <= MOST else ():
         yield Reading("of the other sign", "the sense of the MJCF's joint axis", scale_columns(columns, -1.0))
     yield from list_exchanges(kin, efforts)
+
+
+def list_geared(spec: TwinSpec, columns: Sequence[Column]) -> Iterator[Reading]:
+    """Efforts of motors that move slides by pulleys or screws, logged as the force on the slide, or in kgf cm."""
+    gears = [float(spec.model.actuator(column.name).gear[0]) for column in columns]
+    if any(abs(gear) != 1.0 for gear in gears):
+        changes = tuple(Change(column, column, 1.0 / gear) for column, gear in zip(columns, gears))
+        yield Reading("behind the gear already", "what goes into the gear", changes)
+        yield from rescale(spec, columns, "N m", ("kgf cm",))
 
 
 def list_exchanges(
@@ -237,6 +251,12 @@ def compose_entry(spec: TwinSpec, flight: Flight, name: str, changes: Sequence[C
         content[change.column.quantity] = write_field(field, change)
     text = yaml.safe_dump({name: content}, default_flow_style=True, sort_keys=False, width=10_000, allow_unicode=True)
     return text.strip()[1:-1]
+
+
+def tell_factor(signals: Signals, column: Column) -> float:
+    """By what a twin multiplies a column; 1 where it says nothing, or more than one number."""
+    field = getattr(find_entry(signals, column.group, column.name), column.quantity, None)
+    return float(field.factors[0]) if field is not None and len(set(field.factors)) == 1 else 1.0
 
 
 def is_scaled(signals: Signals, column: Column) -> bool:

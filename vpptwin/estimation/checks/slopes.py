@@ -14,6 +14,7 @@ from vpptwin.estimation.checks.readings import (
     Column,
     Misread,
     Reading,
+    compose_entry,
     exchange,
     find_stream,
     list_kin,
@@ -37,6 +38,8 @@ NEAR_SERVO = 0.15
 FOLLOWS, STRANGE, FARTHER = 0.9, 0.3, 0.2
 """Squared correlation from which on one column follows another, below which they have nothing in common, and by how
 much it must be greater than that of the columns as they are read."""
+SERVED = (0.33, 3.0)
+"""How many times its target a joint goes at most and at least, whatever its servo is."""
 LAGS = np.arange(0.0, 0.31, 0.02)
 """By how much a joint may follow its target late [s]."""
 FARTHEST = 2.0
@@ -92,14 +95,15 @@ def judge_slope(
 
 
 def choose_stated(spec: TwinSpec, flight: Flight, readings: Sequence[Reading]) -> Reading:
-    """Of readings that explain the same the one whose positions keep within what the joint can do, else the first."""
+    """Of readings that explain the same the one whose positions keep within what the joint can do, else in a unit."""
     for reading in readings:
         taken = reading.read(spec.robot.signals, flight)
         given, other = (measure_reach(spec, each, reading.columns[0].name) for each in (flight, taken))
         if other <= FARTHEST < given:
             return reading
-    common = [reading for reading in readings if "scaled" not in reading.looks]
-    return (common or list(readings))[0]
+    common = [reading for reading in readings if "scaled" not in reading.looks] or list(readings)
+    lines = [compose_entry(spec, flight, reading.columns[0].name, reading.changes) for reading in common]
+    return common[int(np.argmin(["scale" in line for line in lines]))]  # units are likelier than odd factors
 
 
 def compare_crossed(one: tuple[bool, list[Column], Stream], other: tuple[bool, list[Column], Stream]) -> Misread | None:
@@ -149,6 +153,9 @@ def compare_targets(spec: TwinSpec, flight: Flight) -> Iterator[Misread]:
             yield Misread(matching[0], why)
         elif near(factor, -1.0, NEAR_SERVO):
             yield Misread(Reading("of the other sign", "the sense of its joint", scale_columns([column], -1.0)), why)
+        elif not SERVED[0] < factor < SERVED[1]:
+            taken = scale_columns([column], float(f"{factor / gear:.3g}"))
+            yield Misread(Reading("in another unit than its joint", "about as much as its joint moves", taken), why)
     yield from compare_swapped_targets(spec, flight, [(column, position) for _, _, column, position in servos.values()])
 
 

@@ -63,6 +63,10 @@ def vet_joint(stream: Stream, label: str) -> tuple[Stream, list[str]]:
     known = Stream(stream.time, {name: data for name, data in stream.values.items() if name != "velocity"})
     if is_dead(velocity) and not is_dead(position):
         return known, [f"{label}: velocity is {velocity[0]:g} throughout while the joint moves, left out"]
+    if is_dead(position) and not is_dead(velocity):
+        found = f"{label}: position is {position[0]:g} throughout while its velocity is not 0"
+        object_to(InputError(found, "a position that moves", "correct the column that the twin names"))
+        return stream, []
     stride = max(round(BEND / float(np.median(np.diff(stream.time)))), 1)
     integral = integrate(velocity, stream.time)
     factor, r_squared = compare_steps(np.diff(position[::stride]), np.diff(integral[::stride]))

@@ -27,6 +27,8 @@ ALIKE = 0.1
 MAX_LATE = 0.5  # s, how late a message may come and still be sorted in
 MAX_CLOCK_DISTANCE = 3600.0  # s between two topics of one recording
 MAX_PERIOD = 3.0  # s from message to message, without a gap, from which the unit is doubted
+FASTEST_RATE, FAST_COUNT = 100_000.0, 1000
+"""Messages a second of one topic that no rig logs, and how many of them tell that its clock is misread."""
 MIN_RATE = 10.0  # messages per s, all topics together, that a log of more than that has; else someone set a clock
 GAP_PERIODS = 5.0  # a gap is longer than this many median periods
 _STAMP_ADVICE = "stamp each message with the time at which it was measured or commanded"
@@ -204,7 +206,15 @@ def check_clocks(spans: dict[str, tuple[int, int]], path: str) -> None:
 
 
 def check_leaps(stamps: Mapping[str, np.ndarray], path: str) -> None:
-    """Refuse clocks that leap forward, before anything is laid out over the time they leap; topic -> stamps (n,) ns."""
+    """Refuse clocks that leap or race, before anything is laid out over the time they leap; topic -> stamps (n,) ns."""
+    for topic, part in stamps.items():
+        taken = float(part.max() - part.min()) * 1e-9
+        if len(part) >= FAST_COUNT and 0.0 < taken < len(part) / FASTEST_RATE:
+            raise InputError(
+                f"{path}: {len(part)} messages of {topic} in {taken:.4g} s",
+                f"at most {FASTEST_RATE:,.0f} messages a second",
+                "if its clock counts seconds, name the column so (`time_s`) or say `stamp: {path: NAME, unit: s}`",
+            )
     span = float(max(part.max() for part in stamps.values()) - min(part.min() for part in stamps.values())) * 1e-9
     if span <= MAX_CLOCK_DISTANCE:
         return

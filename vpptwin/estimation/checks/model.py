@@ -1,8 +1,9 @@
-"""Parts of an MJCF that lie in each other all along a log: contacts would hold what in truth never touches."""
+"""What in an MJCF keeps a rig from moving as it did: joints beyond their range, parts that lie in each other."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import mujoco
@@ -12,7 +13,7 @@ from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.series import Measurements
 from vpptwin.system.doubt import object_to
 from vpptwin.system.errors import InputError
-from vpptwin.twin.robot.model import find_meeting
+from vpptwin.twin.robot.model import HINGE, SLIDE, find_meeting
 from vpptwin.twin.spec import TwinSpec
 
 DEEP = 0.25
@@ -21,6 +22,33 @@ MOSTLY = 0.5
 """Share of the log."""
 LOOKS = 60
 """Instants that are looked at."""
+
+
+BEYOND, OFTEN = 0.1, 0.25
+"""Share of its range by which a joint may leave it, and of the log from which on it leaves it by more."""
+
+
+def refuse_beyond(spec: TwinSpec, measurements: Sequence[Measurements]) -> None:
+    """Refuse logs of which simulated joints lie beyond their range for long: stops would hold the twin.
+
+    Raises:
+        InputError: naming the joint.
+    """
+    model = spec.model
+    for log, joint in product(measurements, np.flatnonzero(model.jnt_limited)):
+        series, (low, high) = log.positions.get(int(model.jnt_dofadr[joint])), model.jnt_range[joint].tolist()
+        if series is None or model.jnt_type[joint] not in (HINGE, SLIDE):
+            continue
+        away = np.maximum(low - series.value, series.value - high) > BEYOND * (high - low)
+        if (share := float(np.mean(away))) < OFTEN:
+            continue
+        rotary = model.jnt_type[joint] == HINGE
+        most, unit = float(np.abs(series.value).max()), "rad" if rotary else "m"
+        degrees = rotary and most < np.degrees(max(abs(low), abs(high)))
+        action = 'write <compiler angle="radian"/>, if the range is in rad' if degrees else "correct the range"
+        name = model.joint(int(joint)).name
+        found = f"{log.name}: {name} lies beyond its range of {low:.3g} to {high:.3g} {unit} for {share:.0%} of the log"
+        object_to(InputError(found, "positions that the MJCF allows", f"{action}, or zero, sign and unit of {name}"))
 
 
 class Overlap(NamedTuple):
