@@ -136,10 +136,11 @@ def linearise(spec: TwinSpec, run: Measurements, windows: Windows, unit: np.ndar
         cell, low = cell.astype(int), np.minimum(step.astype(int), windows.steps - 1)
         share, track = step - low, pose[..., j]
         told = track[:, cell, low] * (1.0 - share) + track[:, cell, low + 1] * share
-        number = np.maximum(np.bincount(cell, minlength=count), 1e-9)
-        mean = np.stack([np.bincount(cell, row, count) for row in (series.value[inside], *told)]) / number / unit[j]
+        number = np.bincount(cell, minlength=count)
+        mean = np.stack([np.bincount(cell, row, count) for row in (series.value[inside], *told)])
+        mean /= np.maximum(number, 1) * unit[j]
         seen[:, j], show[:, j] = mean[0] - mean[1], derive(mean[1:])
-        variance[:, j] = (series.std / unit[j]) ** 2 / number
+        variance[number > 0, j] = (series.std / unit[j]) ** 2 / number[number > 0]
     laws, speed = np.zeros((count, n, n, len(LAWS))), velocity[0] / unit[n : 2 * n]
     for j in range(n):
         sign = np.tanh(speed[..., j] / SLOW).mean(axis=1)
@@ -154,10 +155,10 @@ def switch_on(laws: np.ndarray) -> np.ndarray:
 
 
 def whiten(cells: Cells, noise: np.ndarray, forces: np.ndarray | None = None) -> np.ndarray:
-    """Innovations of the residual and responses to columns of forces (K, n, C), in standard deviations, (M, 1 + C).
+    """Innovations of the residual and of responses to columns of forces (K, n, C), in standard deviations, (M, 1 + C).
 
     `noise` has logarithms: of the encoders' noise in what the samples show, of the disturbance, (n,) each, and of its
-    memory [s]. The last rows but M are the logarithms of the innovations' standard deviations where forces are None.
+    memory [s]. Without forces the second column has the logarithms of the innovations' standard deviations, (M, 2).
     """
     count, n = cells.seen.shape
     columns = np.zeros((count, n, 1)) if forces is None else np.concatenate([np.zeros((count, n, 1)), forces], axis=2)
@@ -167,7 +168,7 @@ def whiten(cells: Cells, noise: np.ndarray, forces: np.ndarray | None = None) ->
     spread, mean = np.diag(np.append(np.full(2 * n, 0.04), strength)), np.zeros((3 * n, columns.shape[2]))
     rows, sizes = [], []
     for k in range(count):
-        there = np.isfinite(cells.variance[k]) & (cells.variance[k] < 1e6)
+        there = np.isfinite(cells.variance[k])
         if there.any():
             show = cells.show[k, there]
             root = np.linalg.cholesky(show @ spread @ show.T + np.diag((sensor * cells.variance[k])[there]))
