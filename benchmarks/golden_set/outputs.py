@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import ctypes
 import hashlib
 import json
@@ -30,11 +29,6 @@ LONG = 2_000_000
 """Characters of a text of which no more is kept than a digest: pages with a whole viewer in them."""
 SLOW = " so far; to make it shorter "
 """In a line that a command says where it takes long."""
-COMMANDS, UUID = (
-    '<script id="commands" type="application/json">',
-    re.compile(rb"[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}"),
-)
-"""Where a page of the viewer has what it shows, in base64, and what shapes are called there."""
 Outputs = dict[str, str]
 """File → text."""
 Run = Callable[[], Outputs]
@@ -74,24 +68,9 @@ def run_command(*words: str) -> Outputs:
         if file.suffix == ".mcap":
             found[f"{name}.json"] = to_text(digest_messages(file))
         elif file.suffix in (".json", ".yaml", ".csv", ".html"):
-            text = number_shapes(file.read_text())
+            text = file.read_text()
             found[name] = text if len(text) < LONG else digest(drop_varying(text, Path.cwd())) + "\n"
     return found
-
-
-def number_shapes(page: str) -> str:
-    """A page of the viewer whose shapes are numbered in their order: meshcat names them by the clock (`uuid1`)."""
-    numbers: dict[bytes, bytes] = {}
-
-    def number(found: re.Match[bytes]) -> bytes:
-        return numbers.setdefault(found[0], b"%036d" % len(numbers))
-
-    def decode(found: re.Match[str]) -> str:
-        return f'"{base64.b64encode(UUID.sub(number, base64.b64decode(found[1]))).decode()}"'
-
-    start, mark, rest = page.partition(COMMANDS)
-    commands, end, others = rest.partition("</script>")
-    return start + mark + re.sub(r'"([\w+/]+=*)"', decode, commands) + end + others
 
 
 def digest_messages(file: Path) -> dict[str, Any]:

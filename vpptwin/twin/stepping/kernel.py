@@ -41,7 +41,7 @@ CONTEXT = np.dtype(
     )]
 )  # fmt: skip
 """Addresses of the arrays that a call works on (0 for none), and its numbers of steps and of force segments."""
-COMPILING = "compiling the step of this rig, once, some 10 s"
+COMPILING = "compiling the step of this rig, once, 10 to 30 s"
 CALLS = {
     "step_drone": "step_drone(vehicle, rig, view, row, tape, k)",
     "step_rig": "step_rig(rig, view, row, tape, k)",
