@@ -149,7 +149,8 @@ class Searcher:
         weights = [self.comparison.log_weight(each.effects) for each in brief]
         least = max([*weights, self.comparison.log_weight(effects)]) - REACH
         for each, weight in zip(brief, weights):
-            if weight > least:
+            hope = max(each.hope - each.evidence, 0.0) / self.comparison.divisor
+            if weight + hope > least:
                 found = self.try_set(each.effects, each.values, each.posterior.scales, each)
                 if found.path is not None and self.comparison.best is found:
                     self.lessen(found, effects)  # where a path is followed both must be as likely as can be

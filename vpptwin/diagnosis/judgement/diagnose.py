@@ -152,7 +152,7 @@ def diagnose(
 def follow(material: Material, selection: Selection, deadline: Deadline) -> Selection:
     """The selection about the motion that is likeliest with it, where it sticks and there is time for that."""
     search, fit = material.search, selection.fit
-    if search.bench.track is None or not search.sticks(fit.effects):
+    if material.inferred is not None or search.bench.track is None or not search.sticks(fit.effects):
         return selection
     what = "fitting about the most probable motion"
     return replace(selection, fit=deadline.attempt([what], partial(search.follow, fit), fit))
@@ -266,7 +266,7 @@ def prepare(
         spec = spec.with_effects({**spec.effects, **blows.effects})
     window = spec.robot.window
     unknowns = list_unknowns(spec, only)
-    if contacts and deadline is not None and not is_followed(spec):
+    if contacts and deadline is not None:
         inferred, measurements, search, held_out = infer(
             spec, measurements, unknowns, stage, progress, criteria, make_twin, deadline, announce
         )
@@ -310,7 +310,11 @@ def infer(
     inferred = infer_causes(bench, scout, ahead, unknowns, stage, deadline)  # which holds the deadline from here on
     stage("predicting every stretch by fits to the others")
     calm = rescale(measurements, bench, inferred.scales)
-    search = Search(build_bench(spec, calm, few, *given, make_twin=make_twin), unknowns)
+    fitted = build_bench(spec, calm, few, *given, make_twin=make_twin)
+    if is_followed(spec):
+        fitted.followed = spec.robot.rotary, spec.robot.rotary
+        fitted.track = follow_motion(fitted, {}).of(*fitted.followed)
+    search = Search(fitted, unknowns)
     held_out = open_held_out(spec, calm, starts, progress, criteria, make_twin)
     while True:
         divide(held_out, inferred)

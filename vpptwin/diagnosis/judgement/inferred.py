@@ -19,6 +19,7 @@ from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
+from vpptwin.effects import Stage
 from vpptwin.inference.fit import Fit, Fitter
 from vpptwin.inference.model import Scales, predict_folds
 from vpptwin.inference.select import Comparison
@@ -137,7 +138,8 @@ def infer_causes(
     def tell(effects: frozenset[str]) -> None:
         stage(f"comparing hypotheses ({', '.join(sorted(effects)) or 'nothing wrong'})")
 
-    comparison, fitter, stopped = compare_hypotheses(bench, unknowns, scout, deadline, tell, predict=ahead.gain)
+    along = [e.id for e in bench.spec.catalogue if e.stage is Stage.FRICTION] if bench.spec.robot.disturbance.known else []
+    comparison, fitter, stopped = compare_hypotheses(bench, unknowns, scout, deadline, tell, along, ahead.gain)
     windows = bench.windows
     fold = cut_folds(windows.flight, windows.start, windows.steps * windows.dt)
     deadline.held = True
