@@ -27,8 +27,6 @@ SETTLED = 0.15
 """Gain of log evidence under which a fit has settled."""
 BRIEF = 2
 """Steps of a first, brief fit."""
-NEARER, CLOSER = 2, 0.4
-"""Times that a brief fit may begin nearer to the fit it extends, and share of the way that is left."""
 ROUGH, SHORT = 2.0, 0.3
 """Where a path is followed: gain under which a fit has settled, and the shortest stride; what sticks makes it rough."""
 
@@ -272,17 +270,14 @@ class Fitter:
         nuisance = simulator.respond(values if path is None else led, path)
         if follows and path is None:
             path = np.zeros((len(nuisance.gram), nuisance.columns.shape[2]))
-        settled, shortest = (SETTLED, SHORTEST if steps > BRIEF else SHORT) if path is None else (ROUGH, SHORT)
-        best, stride, ahead, taken, nearer = None, 1.0, np.empty(0), 0, NEARER if steps <= BRIEF and path is None else 0
+        settled, shortest = (SETTLED, SHORTEST) if path is None else (ROUGH, SHORT)
+        best, stride, ahead, taken = None, 1.0, np.empty(0), 0
         while taken < (steps if unknowns or path is not None else 1):  # a stride that is too long is no step
             if path is not None:
                 before = path if best is None or best.path is None else best.path
                 path = smooth(simulator, values, [path, before], nuisance, scales)
             known = nuisance if lent else simulator.respond(values, path)
             fit, there = self._look(values, effects, known, path, scales, prior)
-            if best is None and nearer and beside is not None and fit.evidence < beside.evidence:
-                nearer, values = nearer - 1, self._approach(values, beside)
-                continue  # worse than nothing: the linear model is not valid so far from it
             gain = np.inf if best is None else fit.evidence - best.evidence
             if gain > 0.0:
                 best, ahead, stride, scales, nuisance = fit, there.mean, min(1.0, 2.0 * stride), there.scales, known
@@ -318,11 +313,6 @@ class Fitter:
         penalised = Posterior(here.mean, there.precision, here.deviance + astray, there.penalty, here.scales)
         hope = -0.5 * (there.deviance + astray + there.penalty)
         return Fit(effects, values, penalised, windows, prior, path, hope), there
-
-    def _approach(self, values: Point, fit: Fit) -> dict[Key, float]:
-        """Parameters on the way from a fit, in which their effects may be off, to others."""
-        begun = {u.key: fit.values.get(u.key, u.mean) for u in self.unknowns}
-        return {key: begun[key] + CLOSER * (value - begun[key]) for key, value in values.items()}
 
 
 def differentiate(

@@ -124,6 +124,21 @@ class Searcher:
                 break
         return comparison
 
+    def impose(self, effects: Sequence[str]) -> Fit:
+        """Fit exactly these effects, each from its best starts beside those before it, all of them together in the end.
+
+        Those that the windows do not show at all, as limits that nothing comes near, have no start and are left out.
+        """
+        fit = self.try_set(frozenset(), {})
+        for effect in effects:
+            starts = [point for information in self.fitter.screen(fit)
+                      for gain, point in self.rank(fit, [effect], information)[effect][:STARTS] if gain > 0.0]  # fmt: skip
+            freed = fit.effects | {effect}
+            for point in starts:
+                self.try_set(freed, point, fit.posterior.scales, fit)
+            fit = self.comparison.fits.get(freed, fit)
+        return fit
+
     def try_set(
         self, effects: frozenset[str], start: Point, scales: Scales | None = None, beside: Fit | None = None
     ) -> Fit:

@@ -18,7 +18,6 @@ from vpptwin.diagnosis.evidence.flights import (
     choose_window,
     list_starts,
     long_starts,
-    split_flights,
     thin_out,
 )
 from vpptwin.diagnosis.evidence.forces import scale_twin
@@ -30,14 +29,12 @@ from vpptwin.diagnosis.judgement.conclusion import conclude, tell_cause
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.inferred import Inferred, infer_causes, is_material, rescale, select_inferred
 from vpptwin.diagnosis.judgement.leftover import judge_leftover
-from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
+from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.diagnosis.judgement.verdict import Cause, Cut, Experiment, Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
-from vpptwin.diagnosis.search.fits import Fit
-from vpptwin.diagnosis.search.information import choose_judges, measure_information
 from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.diagnosis.search.prospects import foresee
-from vpptwin.diagnosis.search.search import Search
+from vpptwin.diagnosis.search.fits import Fitter as Search
 from vpptwin.diagnosis.search.separation import Hypothesis
 from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns
 from vpptwin.effects import find_effect
@@ -114,25 +111,20 @@ def diagnose(
     # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
     with threadpool_limits(limits=1, user_api="blas"):
         material = prepare(
-            spec, flights, stage, progress, criteria, make_twin, causes is None, only, deadline, announce
+            spec, flights, stage, progress, criteria, make_twin, causes is None, only, deadline, announce, causes
         )
         spec = material.search.bench.spec
-        if material.inferred is not None:
-            selection = select_inferred(material.inferred, material.search)
-        elif causes is None:
-            selection = select_causes(material.search, material.held_out, stage, deadline)
-        else:
-            selection = impose_causes(material.search, causes)
+        selection = select_inferred(material.inferred, material.search)
         deadline.held = True  # what a verdict takes, and pictures of it
         deadline.not_done += selection.not_done
-        selection = follow(material, selection, deadline)
-        kept = keep_better(material, selection) if causes is None else selection
+        better, kept = keep_better(material, selection) if causes is None else (material, selection)
         if only:
             kept = replace(kept, unrivalled=kept.fit.effects)
-        found = judge(spec, flights, material, kept, stage, deadline)
+        found = judge(spec, flights, better, kept, stage, deadline)
         if weak := found.verdict.weak:
-            lesser = leave_out(material, kept, [cause.effect for cause in weak])
-            whole, found = found, judge(spec, flights, material, lesser, stage, deadline)
+            lesser = leave_out(better, kept, [cause.effect for cause in weak])
+            lesser = keep_better(lesser[0], replace(lesser[1], left_out=kept.left_out, reduced=kept.reduced))
+            whole, found = found, judge(spec, flights, *lesser, stage, deadline)
             found = suggest(found, weak, whole.verdict.after, whole.values)
         else:
             found = recall(found, material, selection)
@@ -147,15 +139,6 @@ def diagnose(
         cut = Cut(deadline.why, round(deadline.passed, 1), deadline.not_done) if deadline.not_done else None
         settled = sorted(spec.settled)
         return replace(found, verdict=replace(found.verdict, stopped=cut, only=sorted(only), settled=settled))
-
-
-def follow(material: Material, selection: Selection, deadline: Deadline) -> Selection:
-    """The selection about the motion that is likeliest with it, where it sticks and there is time for that."""
-    search, fit = material.search, selection.fit
-    if material.inferred is not None or search.bench.track is None or not search.sticks(fit.effects):
-        return selection
-    what = "fitting about the most probable motion"
-    return replace(selection, fit=deadline.attempt([what], partial(search.follow, fit), fit))
 
 
 def add_blows(found: Diagnosis, blows: Findings) -> Diagnosis:
@@ -174,44 +157,31 @@ def return_memory() -> None:
         ctypes.CDLL(None).mallopt(MMAP_THRESHOLD, 4 * 2**20)
 
 
-def keep_better(material: Material, selection: Selection) -> Selection:
-    """The selection without causes that make its twin predict held-out data worse, the weakest first.
+def keep_better(material: Material, selection: Selection) -> tuple[Material, Selection]:
+    """Both without causes that make errors of held-out data grow at any horizon, the weakest first.
 
     Whatever the search believed: this is what is written.
     """
-    search, held_out, fit = material.search, material.held_out, selection.fit
-
-    def breaks_promise(fit: Fit) -> bool:
-        if material.inferred is not None:
-            return held_out.errors.grow({}, fit.values)
-        return held_out.breaks_promise({}, fit.values, search.sticks(fit.effects))
-
-    while fit.effects and breaks_promise(fit):
-        weakest = min(sorted(fit.effects), key=selection.evidence.__getitem__)
-        left = fit.effects - {weakest}
-        fit = search.follow(search.reframe(search.without(fit, weakest))) if left else search.start
-    return selection if fit is selection.fit else selection.reduce_to(fit)
+    while selection.fit.effects and material.held_out.errors.grow({}, selection.fit.values):
+        weakest = min(sorted(selection.fit.effects), key=selection.evidence.__getitem__)
+        material, selection = leave_out(material, selection, [weakest])
+    return material, selection
 
 
-def leave_out(material: Material, selection: Selection, weak: Sequence[str]) -> Selection:
-    """The selection without causes that are too weak for the extended twin, fitted anew."""
-    search, fit, inferred = material.search, selection.fit, material.inferred
-    if inferred is not None:
-        for effect in weak:
-            inferred = inferred.choose(inferred.without(inferred.chosen, effect))
-        divide(material.held_out, inferred)
-        fit = select_inferred(inferred, search).fit
-    else:
-        for effect in weak:
-            fit = search.without(fit, effect)
-        fit = search.follow(search.reframe(fit)) if fit.effects else search.start
-    lesser = replace(selection.reduce_to(fit), left_out=selection.left_out, reduced=selection.reduced)
-    return keep_better(material, lesser)
+def leave_out(material: Material, selection: Selection, effects: Sequence[str]) -> tuple[Material, Selection]:
+    """Both without some of the causes, all others fitted anew."""
+    inferred = material.inferred
+    for effect in effects:
+        inferred = inferred.choose(inferred.without(inferred.chosen, effect))
+    divide(material.held_out, inferred)
+    material = replace(material, inferred=inferred)
+    return material, selection.reduce_to(select_inferred(inferred, material.search).fit)
 
 
 def recall(found: Diagnosis, material: Material, whole: Selection) -> Diagnosis:
     """A diagnosis that suggests what was left out because some error grew with it, if most of another goes with it."""
     search, held_out, values, told = material.search, material.held_out, whole.fit.values, []
+    divide(held_out, material.inferred)
     gone = sorted(whole.fit.effects - {key[0] for key in found.values})
     if not gone:
         return found
@@ -245,13 +215,13 @@ class Material:
     search: Search
     held_out: HeldOut
     blows: Findings | None  # what they told, where they come first
-    inferred: Inferred | None = None  # what all windows told together, where no motion is followed
+    inferred: Inferred  # what all windows told together
 
 
 def prepare(
     spec: TwinSpec, flights: Sequence[Flight], stage: Stage, progress: Callable[[int], None] | None,
     criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin, contacts: bool = False, only: Collection[str] = (),
-    deadline: Deadline | None = None, announce: Stage = lambda text: None,
+    deadline: Deadline | None = None, announce: Stage = lambda text: None, causes: Sequence[str] | None = None,
 ) -> Material:  # fmt: skip
     """Cut logs into windows, choose held-out ones, and linearise the twin about the others.
 
@@ -264,37 +234,23 @@ def prepare(
     if contacts and strikes_on(spec, measurements):
         blows = judge_blows(spec, measurements, {}, stage, progress, criteria, make_twin, only)
         spec = spec.with_effects({**spec.effects, **blows.effects})
-    window = spec.robot.window
     unknowns = list_unknowns(spec, only)
-    if contacts and deadline is not None:
-        inferred, measurements, search, held_out = infer(
-            spec, measurements, unknowns, stage, progress, criteria, make_twin, deadline, announce
-        )
-        read = rescale(read, search.bench, inferred.scales)
-        return Material(read, measurements, search, held_out, blows, inferred)
-    judges: set[int] = set()
-    if len(flights) > 1:
-        stage("choosing held-out data")
-        told = measure_information(spec, measurements, unknowns, progress, criteria, make_twin)
-        judges = choose_judges(told, criteria)
-    split = split_flights(measurements, window, judges, spec.robot.is_short)
-    stage("linearising the twin")
-    fitted = thin_out(spec, split.fitted)
-    bench = build_bench(spec, measurements, fitted, window, False, progress, criteria, make_twin=make_twin)
-    if is_followed(spec):
-        bench.followed = spec.robot.rotary, spec.robot.rotary
-        bench.track = follow_motion(bench, {}).of(*bench.followed)
-    search = Search(bench, unknowns)
-    held_out = open_held_out(spec, measurements, split.held_out, progress, criteria, make_twin)
-    return Material(read, measurements, search, held_out, blows)
+    inferred, measurements, search, held_out = infer(
+        spec, measurements, unknowns, stage, progress, criteria, make_twin, deadline or Deadline(), announce, causes
+    )
+    read = rescale(read, search.bench, inferred.scales)
+    return Material(read, measurements, search, held_out, blows, inferred)
 
 
 def infer(
     spec: TwinSpec, measurements: Sequence[Measurements], unknowns: tuple[Unknown, ...], stage: Stage,
     progress: Callable[[int], None] | None, criteria: Criteria, make_twin: MakeTwin, deadline: Deadline,
-    announce: Stage,
+    announce: Stage, causes: Sequence[str] | None = None,
 ) -> tuple[Inferred, list[Measurements], Search, HeldOut]:  # fmt: skip
-    """Compare hypotheses on all windows; then the logs with the noise that was inferred, and benches of them."""
+    """Compare hypotheses on all windows; then the logs with the noise that was inferred, and benches of them.
+
+    Causes that somebody names are fitted whatever the evidence.
+    """
     window = spec.robot.window
     starts = list_starts(measurements, window)
     stage("linearising the twin about the logs")
@@ -305,9 +261,10 @@ def infer(
         bench if every < 2 else build_bench(spec, measurements, [s[::every] for s in few], *given, make_twin=make_twin)
     )
     ahead = open_held_out(spec, measurements, starts, progress, criteria, make_twin).errors
-    for line in foresee(bench, scout, unknowns).describe():
-        announce(line)
-    inferred = infer_causes(bench, scout, ahead, unknowns, stage, deadline)  # which holds the deadline from here on
+    if causes is None:
+        for line in foresee(bench, scout, unknowns).describe():
+            announce(line)
+    inferred = infer_causes(bench, scout, ahead, unknowns, stage, deadline, causes)  # which holds the deadline from here on
     stage("predicting every stretch by fits to the others")
     calm = rescale(measurements, bench, inferred.scales)
     fitted = build_bench(spec, calm, few, *given, make_twin=make_twin)
@@ -320,7 +277,7 @@ def infer(
         divide(held_out, inferred)
         values = inferred.chosen.values
         slight = [e for e in sorted(inferred.chosen.effects) if not is_material(search, held_out, values, e)]
-        if not slight:
+        if not slight or inferred.imposed:
             return inferred, calm, search, held_out
         inferred = inferred.drop_weakest(slight)
 

@@ -15,11 +15,10 @@ from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.selection import Alternative, Selection
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.hypotheses import compare_hypotheses
-from vpptwin.diagnosis.search.search import Search
+from vpptwin.diagnosis.search.fits import Fitter as Search
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
-from vpptwin.effects import Stage
 from vpptwin.inference.fit import Fit, Fitter
 from vpptwin.inference.model import Scales, predict_folds
 from vpptwin.inference.select import Comparison
@@ -52,6 +51,7 @@ class Inferred:
         gains: cause → out-of-fold gain that it brings beside the others: of log predictive density, divided as evidence
             is, and of errors.
         stopped: whether the search was cut short.
+        imposed: whether somebody named the causes.
     """
 
     fitter: Fitter
@@ -63,6 +63,7 @@ class Inferred:
     fitted: list[dict[Key, float]]
     gains: dict[str, float]
     stopped: bool = False
+    imposed: bool = False
 
     @property
     def scales(self) -> Scales:
@@ -125,11 +126,11 @@ def cut_folds(flight: np.ndarray, start: np.ndarray, window: float) -> np.ndarra
 
 def infer_causes(
     bench: Bench, scout: Bench, ahead: PredictionErrors, unknowns: Sequence[Unknown], stage: Callable[[str], None],
-    deadline: Deadline,
+    deadline: Deadline, imposed: Sequence[str] | None = None,
 ) -> Inferred:  # fmt: skip
     """Compare hypotheses on a bench of all windows; some of them, which may be all, scout for candidates.
 
-    Errors `ahead` say how well each predicts.
+    Errors `ahead` say how well each predicts. Effects that are `imposed` are the causes whatever the evidence.
 
     Raises:
         Stopped: before every candidate has been tried once.
@@ -138,13 +139,14 @@ def infer_causes(
     def tell(effects: frozenset[str]) -> None:
         stage(f"comparing hypotheses ({', '.join(sorted(effects)) or 'nothing wrong'})")
 
-    along = [e.id for e in bench.spec.catalogue if e.stage is Stage.FRICTION] if bench.spec.robot.disturbance.known else []
-    comparison, fitter, stopped = compare_hypotheses(bench, unknowns, scout, deadline, tell, along, ahead.gain)
+    comparison, fitter, stopped = compare_hypotheses(bench, unknowns, scout, deadline, tell, ahead.gain, imposed)
     windows = bench.windows
     fold = cut_folds(windows.flight, windows.start, windows.steps * windows.dt)
     deadline.held = True
-    best = Inferred(fitter, windows, ahead, comparison, fold, comparison.best, [], {}, stopped).choose(comparison.best)
-    while harmful := [effect for effect, gain in best.gains.items() if gain <= 0.0]:
+    chosen = comparison.best if imposed is None else max(comparison.fits.values(), key=lambda fit: len(fit.effects))
+    best = Inferred(fitter, windows, ahead, comparison, fold, chosen, [], {}, stopped, imposed is not None)
+    best = best.choose(chosen)
+    while imposed is None and (harmful := [effect for effect, gain in best.gains.items() if gain <= 0.0]):
         best = best.drop_weakest(harmful)
     return best
 
@@ -192,13 +194,13 @@ def select_inferred(inferred: Inferred, search: Search) -> Selection:
     rivals = {effect: list_rivals(comparison, chosen, effect) for effect in chosen.effects}
     instead = {effect: [Alternative(f.effects, f.values, f.std) for _, f in row] for effect, row in rivals.items()}
     evidence = {e: 2.0 * (chosen.evidence - comparison.fits[chosen.effects - {e}].evidence) for e in chosen.effects}
-    probability = {e: comparison.inclusion(frozenset({e})) for e in chosen.effects}
+    probability = {e: 1.0 if inferred.imposed else comparison.inclusion(frozenset({e})) for e in chosen.effects}
     kinds = {effect: judge_kind(search, comparison, effect) for effect in chosen.effects}
     ranked = sorted(first.items(), key=lambda item: -item[1])
     told = {effect: [rival for rival, _ in row] for effect, row in rivals.items()}
     cut = ("fitting further sets of effects",) if inferred.stopped else ()
-    found = Selection(fit, ranked, told, instead, evidence, probability=probability, kinds=kinds, not_done=cut)
-    return replace(found, unrivalled=chosen.effects) if cut else found
+    return Selection(fit, ranked, told, instead, evidence, probability, kinds, not_done=cut,
+                     unrivalled=chosen.effects if cut else frozenset())  # fmt: skip
 
 
 def judge_kind(search: Search, comparison: Comparison, name: str) -> tuple[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -28,8 +28,8 @@ COLUMNS = 1.5
 
 def compare_hypotheses(
     bench: Bench, suspects: Sequence[Suspect], scout: Bench, deadline: Deadline | None = None,
-    told: Callable[[frozenset[str]], None] = lambda effects: None, along: Collection[str] = (),
-    predict: Callable[[Mapping[Key, float]], float] = lambda values: 0.0,
+    told: Callable[[frozenset[str]], None] = lambda effects: None,
+    predict: Callable[[Mapping[Key, float]], float] = lambda values: 0.0, imposed: Sequence[str] | None = None,
 ) -> tuple[Comparison, Fitter, bool]:  # fmt: skip
     """Sets of effects fitted to a bench's windows with their posterior probabilities, and whether that was cut short.
 
@@ -39,16 +39,16 @@ def compare_hypotheses(
         scout: some of the windows, or all of them: on these candidates are screened.
         deadline: when to stop with what was found so far; None for never.
         told: called before every fit.
-        along: effects of which hypotheses are simulated along their likeliest path, see `BenchSimulator`.
         predict: log weight that parameters gain by how well they predict.
+        imposed: effects that are fitted whatever the evidence, and no others; None compares all.
 
     Raises:
         Stopped: before every candidate has been tried once.
     """
     unknowns = {suspect.key: name_unknown(suspect, bench.criteria) for suspect in suspects}
     trials = [name_trial(start, unknowns) for start in list_trials(tuple(suspects), scout)] + scan_friction(suspects)
-    whole = BenchSimulator(bench, along)
-    few = whole if scout is bench else BenchSimulator(scout, along)
+    whole = BenchSimulator(bench)
+    few = whole if scout is bench else BenchSimulator(scout)
     fitter = Fitter(whole, list(unknowns.values()), trials, few)
     effects = {suspect.effect.id: suspect.effect for suspect in suspects}
     usual = -float(np.log(max(len(effects), 2)))
@@ -66,8 +66,12 @@ def compare_hypotheses(
         deadline.worth = any(len(each) > 1 for each in (*comparison.fits, tried))
         told(tried)
 
+    searcher = Searcher(fitter, comparison, modifies, tell)
+    if imposed is not None:
+        searcher.impose(imposed)
+        return comparison, fitter, False
     try:
-        Searcher(fitter, comparison, modifies, tell).search()
+        searcher.search()
     except Stopped:
         if not deadline.worth:
             raise

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -32,8 +32,6 @@ LESS = 1.0 / 3.0
 """Share of its tolerance that is believed of what only takes energy out: a model without friction knows of none."""
 FINE = 0.1
 """Share of its typical size by which what acts smoothly is moved for a derivative along a path."""
-ALIKE = 0.25
-"""Share of its typical size within which responses of a free body with two values of a parameter are alike."""
 KEPT = 8
 """Responses that are kept."""
 CALM, VARIED = 0.2, 2.0
@@ -45,11 +43,10 @@ class BenchSimulator:
 
     Args:
         bench: the windows.
-        along: effects of which hypotheses are simulated along their likeliest path, not about none: those that stick.
     """
 
-    def __init__(self, bench: Bench, along: Collection[str] = ()) -> None:
-        self.bench, self.along = bench, frozenset(along)
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
         self._responses: dict[Hashable, Nuisance] = {}
         self._tracks: dict[bytes, Track] = {}
         nv = bench.spec.model.nv
@@ -82,7 +79,7 @@ class BenchSimulator:
         return self._responses[key]
 
     def follows(self, effects: frozenset[str]) -> bool:
-        """Whether a hypothesis has such an effect."""
+        """Always: about the likeliest path forces that are missed are nearly linear, and what sticks slips in time."""
         return True
 
     @cached_property
@@ -110,21 +107,9 @@ class BenchSimulator:
         states = np.clip(response.state * response.state_std, -far, far)
         return Nuisance.of(states, np.clip(push, -far, far), self.layout)
 
-    def _round(self, point: Point) -> dict[Key, float]:
-        """A point without sensors' errors, on a grid of a share of typical sizes: near points respond alike."""
-        bench, rounded = self.bench, dict[Key, float]()
-        for key, value in point.items():
-            if key[0] not in bench.of_sensors:
-                parameter = find_effect(bench.spec.catalogue, key[0]).parameter(key[1])
-                nominal, step = bench.spec.value(find_effect(bench.spec.catalogue, key[0]), key[1]), ALIKE * parameter.size
-                rounded[key] = float(parameter.clip(np.array(nominal + step * np.rint((value - nominal) / step))))
-        return rounded
-
     def loosen(self, point: Point) -> dict[Key, float]:
         """A point that responds nearly as another: without dry friction, and only what is far off, on a coarse grid."""
         bench = self.bench
-        if bench.spec.robot.afloat:
-            return bench.without_dry_friction | self._round(point)
         far, loose = dict(bench.regime(dict(point))), bench.loosen(dict(point))
         for key in loose:
             effect = find_effect(bench.spec.catalogue, key[0])
