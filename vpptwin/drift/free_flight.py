@@ -13,9 +13,8 @@ from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.conclusion import estimate
 from vpptwin.diagnosis.judgement.diagnose import prepare
 from vpptwin.diagnosis.judgement.holdout import Score
-from vpptwin.diagnosis.judgement.selection import fit_together
+from vpptwin.diagnosis.judgement.inferred import select_inferred
 from vpptwin.diagnosis.judgement.verdict import Estimate
-from vpptwin.diagnosis.search.solution import solve_hypothesis
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import list_warnings
 from vpptwin.logs.flight import Flight
@@ -99,19 +98,17 @@ def fit_flights(
         InputError: as `diagnose`.
     """
     with threadpool_limits(limits=1, user_api="blas"):
-        material = prepare(spec, flights, stage, progress)
-        search = material.search
-        stage("fitting")
-        fit = fit_together(search, effects)
+        material = prepare(spec, flights, stage, progress, causes=effects)
+        search, chosen = material.search, material.inferred.chosen
+        fit = select_inferred(material.inferred, search).fit
         stage("judging on held-out windows")
         before, after = material.held_out.score({}), material.held_out.score(fit.values)
-    freed = [i for i, unknown in enumerate(search.unknowns) if unknown.effect.id in fit.effects]
-    solution = solve_hypothesis(fit.about, search.unknowns, fit.effects)
-    fitted = [search.unknowns[i] for i in freed]
+    fitted = [unknown for unknown in search.unknowns if unknown.effect.id in fit.effects]
+    freed = [list(chosen.values).index(unknown.key) for unknown in fitted]
     asked = [unknown for unknown in search.unknowns if unknown.effect.id in effects]
     return FlightFit(
         values={unknown.key: estimate(unknown, fit) for unknown in fitted},
-        alike=pair_up([unknown.key for unknown in fitted], solution.covariance[np.ix_(freed, freed)]),
+        alike=pair_up([unknown.key for unknown in fitted], chosen.posterior.covariance[np.ix_(freed, freed)]),
         vague=[u.key for u in asked if u.key not in fit.std or fit.std[u.key] > VAGUE * u.width / 3.0],
         before=before,
         after=after,

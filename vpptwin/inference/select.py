@@ -131,8 +131,8 @@ class Searcher:
         """
         fit = self.try_set(frozenset(), {})
         for effect in effects:
-            starts = [point for information in self.fitter.screen(fit)
-                      for gain, point in self.rank(fit, [effect], information)[effect][:STARTS] if gain > 0.0]  # fmt: skip
+            ranked = [self.rank(fit, [effect], information)[effect] for information in self.fitter.screen(fit)]
+            starts = [point for row in ranked for gain, point in row[:STARTS] if gain > 0.0]
             freed = fit.effects | {effect}
             for point in starts:
                 self.try_set(freed, point, fit.posterior.scales, fit)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import zip_longest
 
@@ -12,13 +12,11 @@ import numpy as np
 from vpptwin.diagnosis.evidence.contradiction import weigh_causes
 from vpptwin.diagnosis.evidence.logged_inputs import describe_input_error, describe_turned, describe_weak_inputs
 from vpptwin.diagnosis.evidence.other_motors import describe_other_motors
-from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.leftover import share_left
-from vpptwin.diagnosis.judgement.power import judge_power
-from vpptwin.diagnosis.judgement.selection import Alternative, Selection
+from vpptwin.diagnosis.judgement.power import Shown, judge_power
+from vpptwin.diagnosis.judgement.selection import Alternative, Explanation, Selection
 from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Misfit, Rival, Unexplained, Verdict
-from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import find_effect
@@ -37,17 +35,13 @@ SOFT = (
     "equality {} of the MJCF is soft (solimp up to {:.4g}): if it is rigid, such as a gear or a linkage, "
     'solimp="0.9999 0.9999 0.001" solref="0.004 1" make it so'
 )
-UNCONFIRMED = "{}: held-out data alone do not show it, so it is at most 89 % probable"
 PASSING = "{}: a wave that does not repeat along the way may be any force that depends on place; at most 89 % probable"
 UNRIVALLED = "{}: not every rival was fitted in its place; at most 89 % probable"
-UNFELT = "{}: it removes less of the held-out error than sensor noise causes, so it is at most 89 % probable"
-HARMING = "{}: the held-out error is smaller without it, so its confidence is at most 50 %"
-OUTWEIGHED = "{}: more of the held-out error stays unexplained than it explains, so it is at most 89 % probable"
 
 
 def conclude(
     spec: TwinSpec, flights: Sequence[Flight], measurements: Sequence[Measurements], search: Search, held_out: HeldOut,
-    selection: Selection, unexplained: Unexplained,
+    selection: Selection, unexplained: Unexplained, shown: Shown,
 ) -> Verdict:  # fmt: skip
     """Put the verdict together.
 
@@ -59,42 +53,35 @@ def conclude(
         held_out: those that judge.
         selection: the causes.
         unexplained: what they leave.
+        shown: what the logs would have shown beside them.
     """
     fit, criteria, guessed = selection.fit, search.criteria, search.bench.guessed
     before, after = held_out.score({}), held_out.score(fit.values)
-    # Gusts that are known to blow make errors, too.
-    compared = selection.probability is not None  # with the noise that is left as an unknown of every hypothesis
-    missed = after.chi2 > criteria.missed and ((guessed and not compared) or unexplained.significant)
+    missed = after.chi2 > criteria.missed and unexplained.significant  # gusts make errors, too
     denied: dict[str, str] = {}
     if guessed:
         seen = weigh_causes(spec, measurements, fit.values, criteria)
         denied = {s.effect: s.tell(criteria) for s in seen if s.contradicts(criteria)}
-    left = max(unexplained.share, (after.chi2 - 1.0) / max(before.chi2 - 1.0, 1e-9))
-    if compared:  # what leaves half of the error ahead is judged as its probability says
-        left = share_ahead(before, after) - 0.5
+    # What leaves half of the error ahead is judged as its probability says.
+    left = share_ahead(before, after) - 0.5
     sober = 1.0 - (1.0 - criteria.sober) * float(np.clip(2.0 * left, 0.0, 1.0)) * unexplained.significant
-    if fit.effects and held_out.errors.worsens({}, fit.values):
+    if fit.effects and held_out.errors.grow({}, fit.values):
         sober = criteria.sober
-    beyond = 0.0 if compared else after.chi2
-    doubtful = selection.reduced or is_doubtful(search, held_out, fit, unexplained, beyond)
+    doubtful = selection.reduced or is_doubtful(search, held_out, fit, unexplained)
     most = criteria.suggested if doubtful else 1.0
-    causes, order, doubts = [], {}, dict.fromkeys(selection.unconfirmed, UNCONFIRMED)
-    doubts |= dict.fromkeys(selection.unrivalled & fit.effects, UNRIVALLED)
+    causes, order, doubts = [], {}, dict.fromkeys(selection.unrivalled & fit.effects, UNRIVALLED)
     doubts |= dict.fromkeys(list_passing(search, fit), PASSING)
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, {})
-        order[effect] = held_out.errors.gain(fit.values, rest) if compared else gain
-        if guessed and not compared and (doubt := doubt_gain(held_out, rest, fit.values)):
-            doubts[effect] = doubts.get(effect, doubt) if doubt == UNFELT else doubt
-        selected = selection.confidence(effect)
-        confidence = min(sober * selected, criteria.suggested if effect in doubts else most)
-        if effect in denied or doubts.get(effect) == HARMING:
+        order[effect] = held_out.errors.gain(fit.values, rest)
+        confidence = min(sober * selection.confidence(effect), criteria.suggested if effect in doubts else most)
+        if effect in denied:
             confidence = min(confidence, criteria.sober)
         causes.append(tell_cause(search, selection, effect, confidence, gain, interval))
-    causes = sorted(causes, key=lambda cause: (cause.effect in selection.unconfirmed, -order[cause.effect]))
+    causes = sorted(causes, key=lambda cause: -order[cause.effect])
     alike = {rival.effect for cause in causes for rival in cause.also_explained_by}
-    cleared, unseen = judge_power(search, fit, fit.effects | alike)
+    cleared, unseen = judge_power(search, shown, fit.effects | alike)
     if selection.not_done:  # what comes near nothing beside these may do so beside all causes
         cleared = []
     warnings = describe_other_motors(spec, measurements) if guessed else []
@@ -131,7 +118,7 @@ def share_ahead(before: Score, after: Score) -> float:
     return min((last / first for first, last in told if first > 0.0 and np.isfinite(last)), default=1.0)
 
 
-def list_passing(search: Search, fit: Fit) -> set[str]:
+def list_passing(search: Search, fit: Explanation) -> set[str]:
     """Cogging that does not come again along the way, and what else depends on place there.
 
     Less than `comes_again` times over the travel of its joint a wave is any force that depends on place: what lies
@@ -154,14 +141,11 @@ def describe_soft_couplings(model: mujoco.MjModel) -> list[str]:
     return [SOFT.format(model.equality(int(i)).name or i, model.eq_solimp[i, 1]) for i in soft]
 
 
-def is_doubtful(search: Search, held_out: HeldOut, fit: Fit, unexplained: Unexplained, chi2: float) -> bool:
-    """Whether so much is left, held-out `chi2`, that no cause is more than suggested."""
-    criteria = search.criteria
-    if unexplained.significant or chi2 > criteria.far_off:
-        return True
-    if search.bench.guessed:
-        return share_left(held_out, fit) > criteria.explained
-    return unexplained.sigma > criteria.doubted
+def is_doubtful(search: Search, held_out: HeldOut, fit: Explanation, unexplained: Unexplained) -> bool:
+    """Whether so much is left that no cause is more than suggested."""
+    if unexplained.significant or not search.bench.guessed:
+        return unexplained.significant or unexplained.sigma > search.criteria.doubted
+    return share_left(held_out, fit) > search.criteria.explained
 
 
 def tell_cause(
@@ -192,18 +176,7 @@ def describe_rival(search: Search, rival: Rival, there: Alternative | None) -> R
     return replace(rival, parameters=found, summary=own[0].effect.summary, kind=own[0].effect.kind) if own else rival
 
 
-def doubt_gain(held_out: HeldOut, without: Mapping[Key, float], values: Mapping[Key, float]) -> str:
-    """Why a cause, of a twin `without` it and one with all `values`, is but suggested by its gain; "" if it is more."""
-    after = held_out.chi2(values)
-    drop = held_out.chi2(without) - after
-    if drop < 0.0 < after - 1.0:
-        return HARMING
-    if after - 1.0 > drop:
-        return OUTWEIGHED
-    return "" if drop >= held_out.criteria.felt or (drop > 0.0 and held_out.errors.feels(without, values)) else UNFELT
-
-
-def find_misfit(search: Search, held_out: HeldOut, fit: Fit, chi2: float) -> Misfit:
+def find_misfit(search: Search, held_out: HeldOut, fit: Explanation, chi2: float) -> Misfit:
     """How far the extended twin is off, which is far above what the sensors make."""
     found = Misfit(float(np.sqrt(chi2)), *held_out.errors.locate_miss(fit.values))
     explained = float(min((chi2 - held_out.chi2(fit.likeliest)) / (chi2 - 1.0), 1.0))
@@ -218,6 +191,6 @@ def find_misfit(search: Search, held_out: HeldOut, fit: Fit, chi2: float) -> Mis
     return replace(found, within=within, explained=explained if within else 0.0)
 
 
-def estimate(unknown: Unknown, fit: Fit) -> Estimate:
+def estimate(unknown: Unknown, fit: Explanation) -> Estimate:
     """A fitted parameter with its unit and uncertainty."""
     return Estimate(fit.values[unknown.key], unknown.parameter.unit, fit.stated_std(unknown), float(unknown.nominal))

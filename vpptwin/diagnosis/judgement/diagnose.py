@@ -29,12 +29,12 @@ from vpptwin.diagnosis.judgement.conclusion import conclude, tell_cause
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.inferred import Inferred, infer_causes, is_material, rescale, select_inferred
 from vpptwin.diagnosis.judgement.leftover import judge_leftover
+from vpptwin.diagnosis.judgement.power import Shown
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.diagnosis.judgement.verdict import Cause, Cut, Experiment, Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
-from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.diagnosis.search.prospects import foresee
-from vpptwin.diagnosis.search.fits import Fitter as Search
+from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.separation import Hypothesis
 from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns
 from vpptwin.effects import find_effect
@@ -264,14 +264,12 @@ def infer(
     if causes is None:
         for line in foresee(bench, scout, unknowns).describe():
             announce(line)
-    inferred = infer_causes(bench, scout, ahead, unknowns, stage, deadline, causes)  # which holds the deadline from here on
+    inferred = infer_causes(
+        bench, scout, ahead, unknowns, stage, deadline, causes
+    )  # which holds the deadline from here on
     stage("predicting every stretch by fits to the others")
     calm = rescale(measurements, bench, inferred.scales)
-    fitted = build_bench(spec, calm, few, *given, make_twin=make_twin)
-    if is_followed(spec):
-        fitted.followed = spec.robot.rotary, spec.robot.rotary
-        fitted.track = follow_motion(fitted, {}).of(*fitted.followed)
-    search = Search(fitted, unknowns)
+    search = Search(build_bench(spec, calm, few, *given, make_twin=make_twin), unknowns)
     held_out = open_held_out(spec, calm, starts, progress, criteria, make_twin)
     while True:
         divide(held_out, inferred)
@@ -287,12 +285,6 @@ def divide(held_out: HeldOut, inferred: Inferred) -> None:
     held_out.divide(*((inferred.deal(each), inferred.fitted) for each in (held_out.short, held_out.errors.bench)))
 
 
-def is_followed(spec: TwinSpec) -> bool:
-    """Whether windows are simulated about the motion that is likeliest: of the drone, of bodies that turn freely."""
-    robot = spec.robot
-    return robot.disturbance.known or any(dof + 3 not in robot.driven for dof in robot.afloat)
-
-
 def judge(
     spec: TwinSpec, flights: Sequence[Flight], material: Material, selection: Selection, stage: Stage,
     deadline: Deadline,
@@ -301,7 +293,9 @@ def judge(
     search, held_out, fit = material.search, material.held_out, selection.fit
     stage("judging on held-out windows")
     leftover = judge_leftover(held_out, search, fit)
-    verdict = conclude(spec, flights, material.measurements, search, held_out, selection, leftover.unexplained)
+    inferred = material.inferred
+    shown = Shown(inferred.fitter, inferred.chosen, inferred.comparison.temper)
+    verdict = conclude(spec, flights, material.measurements, search, held_out, selection, leftover.unexplained, shown)
     if any(cause.also_explained_by for cause in verdict.causes):
         stage("looking for the manoeuvre that separates the rivals")
         work = partial(suggest_experiment, spec, search, selection, verdict.causes)
@@ -334,10 +328,6 @@ def open_held_out(
     """Benches of the held-out windows."""
     window, few = spec.robot.window, thin_out(spec, starts, True)
     short = build_bench(spec, measurements, few, window, True, progress, criteria, make_twin=make_twin)
-    if is_followed(spec):
-        # Judged without looking ahead, starts are rough: they move too.
-        short.followed = np.ones(spec.model.nv), spec.robot.rotary
-        short.track = follow_motion(short, {}).of(*short.followed)
     far, horizon = long_starts(starts, window), HORIZONS_S[-1]
     return HeldOut(
         short, build_bench(spec, measurements, far, horizon, True, progress, criteria, True, make_twin)

@@ -30,16 +30,6 @@ class PredictionErrors:
         self.bench, self.criteria = bench, bench.criteria
         self._found: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
 
-    def worsens(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
-        """Whether an error of the pose up to `watched` ahead grows by more than `worse` and a standard error."""
-        near = sum(horizon <= self.criteria.watched for horizon in HORIZONS_S)
-        ratios = self.ratios(before, after)
-        few = len(self.bench.windows) < self.criteria.judges and self.bench.guessed
-        if few:  # a scatter of two or three tells nothing, and chi² has the word
-            return False
-        grown = [tell_apart(ratios[name][:, :near]) for name in set(ratios) & {"m", "rad"}]
-        return any(bool(np.any(mean - error > np.log1p(self.criteria.worse))) for mean, error in grown)
-
     def grow(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
         """Whether an error of the pose at any horizon grows by more than `even` and its standard error.
 

@@ -12,10 +12,10 @@ from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.errors import PredictionErrors
 from vpptwin.diagnosis.judgement.holdout import HeldOut
-from vpptwin.diagnosis.judgement.selection import Alternative, Selection
+from vpptwin.diagnosis.judgement.selection import Alternative, Explanation, Selection
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.hypotheses import compare_hypotheses
-from vpptwin.diagnosis.search.fits import Fitter as Search
+from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
@@ -182,13 +182,11 @@ def rescale(measurements: Sequence[Measurements], bench: Bench, scales: Scales) 
 
 def select_inferred(inferred: Inferred, search: Search) -> Selection:
     """The causes as the verdict takes them."""
-    comparison, chosen = inferred.comparison, inferred.chosen
-    fit = search.start
-    if chosen.effects:
-        fit = search.fit(chosen.effects, chosen.values, search.start.about, iterations=0)
-        std = average_std(comparison, chosen)
-        fit = search.reframe(fit)
-        fit = replace(fit, values=dict(chosen.values), std={key: std[key] for key in fit.std})
+    comparison, chosen, fitter = inferred.comparison, inferred.chosen, inferred.fitter
+    loose = [fitter.unknowns[i].key for i in fitter.loose(chosen.effects)]
+    tolerated = dict(zip(loose, chosen.posterior.mean[len(chosen.values) :].tolist(), strict=True))
+    std, gust = average_std(comparison, chosen), np.exp(inferred.scales.process)
+    fit = Explanation(chosen.effects, dict(chosen.values), std, tolerated, gust, search.criteria)
     empty = comparison.fits[frozenset()]
     first = {next(iter(s)): 2.0 * (f.evidence - empty.evidence) for s, f in comparison.fits.items() if len(s) == 1}
     rivals = {effect: list_rivals(comparison, chosen, effect) for effect in chosen.effects}

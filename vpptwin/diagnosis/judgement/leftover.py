@@ -11,11 +11,19 @@ from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track, Variation
 from vpptwin.diagnosis.judgement.blocks import blocks_of
 from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.selection import Explanation
 from vpptwin.diagnosis.judgement.verdict import Unexplained
 from vpptwin.diagnosis.judgement.weather import BINS, FOLDS, Missing, find_swing, leave_behind
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, missing_wrench
-from vpptwin.diagnosis.search.fits import Fit
-from vpptwin.diagnosis.search.likelihood import Response, couple_gusts, gust_std, middles_of_segments, tune_gust
+from vpptwin.diagnosis.search.likelihood import (
+    Response,
+    couple_gusts,
+    gust_std,
+    measure_response,
+    middles_of_segments,
+    tune_gust,
+)
+from vpptwin.diagnosis.search.motion import find_track
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.twin.robot.manifold import chart
 
@@ -91,31 +99,27 @@ class Leftover:
     plot: WrenchPlot | None
 
 
-def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
-    """Judge what is left: of rigs whose gusts are known to be some on all windows, fitted or not."""
-    track = fit.about.track
-    fitted, judged = search.bench.about(track).residual(fit.likeliest), held_out.miss(fit.likeliest)
-    looser = search.responses.without_dry_friction(fit.frame.floor, fit.values)
-    blew = np.clip(fit.likelihood.gust, 1.0, search.criteria.storm)
-    own = held_out.response(fit.values)
-    choices = [
-        [Part(search.bench, response, fitted, track) for response in (looser, fit.likelihood.response)],
-        [
-            Part(held_out.short, response, *judged)
-            for response in (held_out.response(held_out.short.loosen(fit.values)), own)
-        ],
-    ]
-    if search.bench.track is None:  # what sticks in a twin may yield: judged is the one that leaves less to explain
-        parts = [min(choice, key=lambda part: part.square_of_force(blew)) for choice in choices]
-    else:  # the twin slips when the rig did
-        parts = [replace(loose, felt=feel(loose, sticking)) for loose, sticking in choices]
-    before = [
-        Part(search.bench, search.start.likelihood.response, search.start.about.missed, search.start.about.track),
-        Part(held_out.short, held_out.response({}), *held_out.miss({})),
-    ]
-    if search.bench.guessed:
-        return judge_structure(parts[1], before[1], fit.likeliest, share_left(held_out, fit))
-    return judge_weather(parts, before, fit.likeliest, bool(fit.effects))
+def judge_leftover(held_out: HeldOut, search: Search, fit: Explanation) -> Leftover:
+    """Judge what is left: where gusts are known, of all windows, else of those that judge."""
+    known = search.bench.spec.robot.disturbance.known
+    bench = search.bench if known else held_out.short
+    part, before = open_part(bench, fit.likeliest, fit), open_part(bench, {}, fit)
+    if known:
+        return judge_weather([part], [before], fit.likeliest, bool(fit.effects))
+    return judge_structure(part, before, fit.likeliest, share_left(held_out, fit))
+
+
+def open_part(bench: Bench, values: Mapping[Key, float], fit: Explanation) -> Part:
+    """Windows with what a twin misses on them: where it strays from what was measured, about the likeliest motion."""
+    track = find_track(bench, values)
+    about = bench.about(track)
+    missed = about.residual(values)
+    loose, own = bench.loosen(values), dict(values)
+    parts = [Part(bench, measure_response(about, each), missed, track) for each in (loose, own)]
+    if track is not None:  # the twin slips when the rig did
+        return replace(parts[0], felt=feel(*parts))
+    blew = np.clip(fit.gust, 1.0, bench.criteria.storm)  # what sticks may yield: judged is what leaves less to explain
+    return min(parts, key=lambda part: part.square_of_force(blew))
 
 
 def judge_weather(
@@ -195,7 +199,7 @@ def clip_astray(squares: np.ndarray, flights: np.ndarray, times: float) -> np.nd
     return np.minimum(squares, [most[flight] for flight in flights])
 
 
-def share_left(held_out: HeldOut, fit: Fit) -> float:
+def share_left(held_out: HeldOut, fit: Explanation) -> float:
     """Share of the held-out excess chi² that a fit leaves."""
     before, after = held_out.chi2({}), held_out.chi2(fit.values)
     return float(np.clip((after - 1.0) / max(before - 1.0, 1e-9), 0.0, 1.0)) if after > 1.0 else 0.0

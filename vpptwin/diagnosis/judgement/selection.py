@@ -5,9 +5,49 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from vpptwin.diagnosis.criteria import Criteria
 from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.verdict import Rival
-from vpptwin.diagnosis.search.fits import Fit
+from vpptwin.diagnosis.search.suspects import Unknown
+from vpptwin.effects import Stage
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Effects fitted together.
+
+    Attributes:
+        effects: ids that were freed.
+        values: their parameters.
+        std: standard deviation of each, averaged over the sets of effects that have it.
+        tolerated: what the effects that were not freed moved within their tolerance, parameter → value.
+        gust: strength of the process noise as a multiple of what the robot states, (nv,).
+        criteria: thresholds.
+    """
+
+    effects: frozenset[str]
+    values: dict[Key, float]
+    std: dict[Key, float]
+    tolerated: dict[Key, float]
+    gust: np.ndarray
+    criteria: Criteria
+
+    @property
+    def likeliest(self) -> dict[Key, float]:
+        """Every parameter where it is likeliest: those of the effects, the others within their tolerance."""
+        return self.tolerated | self.values
+
+    def stated_std(self, unknown: Unknown) -> float:
+        """Standard deviation as reported: tempered as evidence is; of a strength also what its law may be wrong by."""
+        criteria = self.criteria
+        std = float(np.sqrt(criteria.temper)) * self.std[unknown.key]
+        if unknown.parameter not in unknown.effect.strengths:
+            return std
+        share = criteria.inexact_friction if unknown.effect.stage is Stage.FRICTION else criteria.inexact
+        value = self.values[unknown.key]
+        return float(np.hypot(std, share * abs(value if unknown.is_limit else value - unknown.nominal)))
 
 
 @dataclass(frozen=True)
@@ -37,7 +77,7 @@ class Selection:
         not_done: what was left out as it was stopped, in words.
     """
 
-    fit: Fit
+    fit: Explanation
     first: list[tuple[str, float]]
     rivals: dict[str, list[Rival]]
     instead: dict[str, list[Alternative]]
@@ -49,7 +89,7 @@ class Selection:
     unrivalled: frozenset[str] = frozenset()
     not_done: tuple[str, ...] = ()
 
-    def reduce_to(self, fit: Fit) -> Selection:
+    def reduce_to(self, fit: Explanation) -> Selection:
         """The selection with a fit of fewer causes: with all of them held-out log was predicted worse."""
         gone, kept = self.fit.effects - fit.effects, fit.effects
         rivals = {e: [r for r in self.rivals[e] if r.effect not in gone] for e in kept}
@@ -66,4 +106,4 @@ class Selection:
 
     def confidence(self, effect: str) -> float:
         """Probability that the cause is right, among its rivals and that nothing is there."""
-        return min(self.probability[effect], self.fit.frame.criteria.most_confident)
+        return min(self.probability[effect], self.fit.criteria.most_confident)

@@ -10,7 +10,8 @@ import numpy as np
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Variation
 from vpptwin.diagnosis.judgement.holdout import HeldOut
-from vpptwin.diagnosis.search.likelihood import Response, gust_std
+from vpptwin.diagnosis.search.likelihood import Response, gust_std, measure_response
+from vpptwin.diagnosis.search.motion import find_track
 from vpptwin.effects import Effect
 from vpptwin.inference.covariance import solve
 from vpptwin.twin.robot.manifold import FREE, chart
@@ -49,8 +50,7 @@ def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) 
     bench = held_out.short
     model = bench.spec.model
     others = {key: value for key, value in values.items() if key[0] != effect.id}
-    found = [(held_out.response(v), held_out.miss(v)) for v in (others, values)]
-    before, after = (missing_wrench(bench, response, response.restore(*missed)) for response, missed in found)
+    before, after = (measure_wrench(bench, each) for each in (others, values))
     joints = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt) if model.jnt_type[i] != FREE}
     drop = (before**2 - after**2).mean(axis=(0, 1)) / gust_std(bench) ** 2
     dof = joints.get(effect.target, int(np.argmax(drop)))
@@ -65,6 +65,14 @@ def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) 
         x_label,
         f"missing {kind} on {joint} [{unit}]",
     )
+
+
+def measure_wrench(bench: Bench, values: Mapping[Key, float]) -> np.ndarray:
+    """Force pulses that a twin with `values` lacks, (K, segments, nv) N, N m."""
+    track = find_track(bench, values)
+    about = bench.about(track)
+    response = measure_response(about, values)
+    return missing_wrench(bench, response, response.restore(about.residual(values), track))
 
 
 def quantity_of_segments(

@@ -10,7 +10,6 @@ import numpy as np
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track
 from vpptwin.diagnosis.search.likelihood import (
-    Likelihood,
     Response,
     likeness_of_gusts,
     measure_response,
@@ -24,8 +23,6 @@ FOLLOWED, SETTLED = 5, 0.1
 BRIEFLY, STRIDES, ENOUGH = 3, 3, 0.01
 """Where disturbances are assumed: times that responses are measured, steps that one serves for, and share of the cost
 whose drop is enough to go on."""
-SHIFTED = 3
-"""Times at most that a track is shifted to another twin's."""
 
 
 def spread_gusts(bench: Bench, gust: np.ndarray) -> np.ndarray:
@@ -84,35 +81,11 @@ class Path:
         return ((missed / self.bench.std) ** 2).sum(axis=1) + (found**2).sum(axis=1)
 
 
-def choose_track(bench: Bench, likelihood: Likelihood, missed: np.ndarray) -> Track:
-    """The likeliest track of a twin that without one would miss so much, (K, M), to first order: what is followed."""
-    assert bench.followed is not None
-    path = Path(bench, likelihood.response, spread_gusts(bench, likelihood.gust))
-    return path.place(path.step(missed)).of(*bench.followed)
-
-
-def shift_track(bench: Bench, values: Mapping[Key, float], response: Response) -> tuple[np.ndarray, Track | None]:
-    """What a twin with `values` misses, (K, M), about the bench's track, or about one nearer to what it did.
-
-    Args:
-        bench: the windows; a track that was found with another twin holds what this one may explain.
-        values: of the twin.
-        response: that of a twin like it, which serves on the way.
-    """
-    track, missed = bench.track, bench.residual(values)
-    if bench.followed is None or track is None or not values:
-        return missed, track
-    gust = tune_gust(bench, response, response.restore(missed, track))
-    path = Path(bench, response, spread_gusts(bench, gust))
-    at = path.measure(track)
-    best = path.cost(missed, at)
-    for _ in range(SHIFTED):
-        track = path.place(path.step(response.restore(missed, path.place(at)))).of(*bench.followed)
-        there, found = bench.about(track).residual(values), path.measure(track)
-        cost = path.cost(there, found)
-        better = (cost < best)[:, None]
-        missed, at, best = np.where(better, there, missed), np.where(better, found, at), np.minimum(cost, best)
-    return missed, path.place(at)
+def find_track(bench: Bench, values: Mapping[Key, float]) -> Track | None:
+    """The likeliest motion of a twin in angles, about which windows are linear; None where it stays near without."""
+    robot = bench.spec.robot
+    strays = robot.disturbance.known or any(dof + 3 not in robot.driven for dof in robot.afloat)
+    return follow_motion(bench, values).of(robot.rotary, robot.rotary) if strays else None
 
 
 def follow_motion(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Track:
