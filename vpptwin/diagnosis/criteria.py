@@ -54,81 +54,22 @@ class Criteria:
     gust_doubt: float = assumed(2.0, "log", "standard deviation of the log of that strength", "e1272d1")
     tails: float = assumed(4.0, "", "degrees of freedom of Student's t, for every pulse, of the gusts of a window",
         "68f7aa5 for their strength, 8838ea8 for stronger ones where it is assumed")
-    usual_misfit: float = by_hand(3.0, "median", "misfit of a window from which it counts less, fitted or held out",
-        "68f7aa5 (fitted), 668e32f (held out)")
-    nonlinear: float = by_hand(0.1, "", "share of a residual that linearisation may miss", "7ea694a")
-    yielding: float = by_hand(300.0, "cost", "by which a looser response must win to set parameters", "de2cf5a")
-    most_tolerated: float = assumed(3.0, "tolerance", "within which an effect that is no candidate stays", "68f7aa5")
-    stretch: float = by_hand(1.2, "s", "windows that count as one when the scatter of a parameter is judged",
-        "4 windows of 0.3 s at 2ae9ed6, 1.2 s since e1272d1")
-
-    # Search: who is refitted.
-    judging_worth: float = by_hand(0.5, "", "worth of an effect seen where it is judged, not fitted", "85407b0")
-    half_seen: float = by_hand(50.0, "sigma²", "signal to noise at which an effect is half seen", "b8eee32")
-    shown: float = by_hand(100.0, "", "how well the log with most misfit shows it, in halves seen; others by share",
-        "85dd805, sessions 94414/17 and 13989/56")
-    shortlist: int = by_hand(5, "", "candidates refitted at every step", "4 at 85fc87b, 5 since e1272d1")
-    starts: int = by_hand(2, "", "values of a shape or a limit from which a refit starts", "e1272d1")
-    few: int = assumed(17, "", "candidates up to which every one is refitted at every step",
-        "16 at 4de4b66, 17 since 55f8389")
-    generous: int = assumed(10, "", "candidates refitted at every step of an unknown rig", "4de4b66")
-    neighbours: int = assumed(4, "", "sets of causes refitted that differ in two", "4de4b66")
-    more_neighbours: int = assumed(8, "", "the same where sensors are assumed", "7d2f4f9")
-    worth_a_refit: float = by_hand(8.0, "cost", "drop by linearisation from which a candidate is refitted",
-        "2 at 85fc87b, 8 since e1272d1")
-    rival_hope: float = by_hand(0.4, "", "share of a cause's drop from which a rival is refitted", "e1272d1")
-    chance: float = by_hand(0.25, "", "share of the best drop from which another is judged", "b8eee32")
-    most_causes: int = by_hand(5, "", "causes at most", "4 at 85fc87b, 6 at 68f7aa5, 5 since e1272d1")
-    most_steps: int = by_hand(9, "", "steps of the search at most", "85407b0")
-    most_swaps: int = by_hand(2, "", "causes whose place a rival takes", "4 at e1272d1, 2 since 85407b0")
 
     # Judgement: what becomes a cause.
-    bar: float = by_hand(10.0, "cost", "drop (twice the log of the evidence) that makes a cause",
-        "16 at 85fc87b, 10 since e1272d1; a family-wise 1 % over 44 effects, χ²(1), would be 13.6")
-    bars_fitted: float = by_hand(0.8, "bar", "that fitted windows alone must bring", "2fc0d73")
-    bars_together: float = by_hand(1.2, "bar", "that fitted and held-out windows must bring together", "2fc0d73")
-    bars_strong: float = by_hand(8.0, "bar", "evidence from which held-out windows need only not contradict",
-        "10 at b3e12e5, 8 since e1272d1")
-    sigmas_held_out: float = proposed(2.0, "sigma", "by which a cause must improve held-out windows",
-        "more than two standard errors, as held-out flights scatter (85fc87b)")
-    sigmas_against: float = by_hand(1.0, "sigma", "by which they may contradict strong evidence", "b3e12e5")
-    powerless: float = by_hand(25.0, "sigma²", "change of prediction under which held-out windows cannot judge",
-        "50 at 71b4e15, 25 since e1272d1")
-    bars_powerless: float = by_hand(2.0, "bar", "that name an effect which they cannot judge", "71b4e15")
-    clear_of_off: float = calibrated(3.0, "sigma", "by which the strength of a cause must leave its nominal, as stated",
-        "sessions of other rigs, seeds 81580 and 94414 at cf753d8: of 33 causes that were nearer none was hidden")
-    judges: int = assumed(6, "", "held-out windows below which they can only contradict: too few to scatter",
-        "73d3b90, lone logs under some 20 s")
     tolerances: float = by_hand(2.5, "tolerance", "by which a parameter must leave its nominal", "85fc87b")
-    kinship: float = by_hand(0.05, "", "share of a cause's evidence that another of its kind must bring beside it",
-        "b8eee32; taken for how inexact laws of friction are since 496fb2c")
-    watched: float = by_hand(0.25, "s", "up to which no cause may make errors of the pose worse",
-        "2fc0d73; one of `HORIZONS_S`")
-    settled: float = assumed(0.25, "", "share of the held-out excess chi² left from which gusts need not be excluded",
-        "5098076, rigs whose disturbances are assumed")
-    worse: float = by_hand(0.1, "", "share by which such an error may grow: effects that are there cost no more",
-        "2fc0d73")
     even: float = by_hand(0.02, "", "share by which held-out chi² may grow where a twin sticks: one slip makes more",
         "tests allow no more since 85fc87b")
     block: float = by_hand(1.5, "s", "windows that count as one when errors are resampled", "e1272d1 (5 gust times)")
-    most_drop: float = by_hand(4.0, "rms", "drop in surprise that a held-out window counts at most", "e1272d1")
 
     # Rivals and confidence.
     temper: float = by_hand(1.5, "", "divides evidence before it becomes a probability: no noise model is exact",
         "4 at 85fc87b, 1.5 since e1272d1")
-    rival_sigma: float = proposed(3.0, "sigma", "within which a rival is reported with the cause",
-        "a rival that leaves less than 3 sigma is of one group with the cause (e1272d1)")
-    better: float = by_hand(2.0, "cost", "by which a rival must win to take a cause's place", "e1272d1")
     most_confident: float = assumed(0.999, "", "confidence at most", "85fc87b")
     suggested: float = assumed(0.89, "", "confidence at most while something material is unexplained", "aede6c2")
     named: float = assumed(0.1, "", "probability of a cause, or of its kind, below which the extended twin lacks it",
         "50287d2, as much as each of ten rivals that fit alike has")
     explained: float = assumed(0.1, "", "share of the held-out excess chi² left from which a cause is but suggested",
         "73d3b90, rigs whose sensors and disturbances are assumed")
-    far_off: float = assumed(25.0, "", "held-out chi² left from which a cause is but suggested: five times the noise",
-        "8838ea8: whatever share of the error that is")
-    felt: float = assumed(1.0, "", "held-out chi² that a cause must take away to be sure: as much as noise makes",
-        "8838ea8, rigs whose sensors are assumed")
     comes_again: float = calibrated(1.5, "", "waves along the way from which a force is cogging, not any of its place",
         "6c1d7bc, five seeds of other rigs, 13989 to 96897: six that were there have 2.1 to 12, three 0.8 to 1.0")
     sober: float = by_hand(0.5, "", "confidence left where half is unexplained, or errors grow",

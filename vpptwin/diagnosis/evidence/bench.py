@@ -12,7 +12,7 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.channels import Channel, predict_channel
 from vpptwin.diagnosis.evidence.motor import CURRENT, SPEED, predict_motor
 from vpptwin.diagnosis.evidence.runs import ROWS, Key, MakeTwin, Runs, Track, Variation, keep_last, pick
-from vpptwin.effects import Stage, find_effect
+from vpptwin.effects import Stage
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import WindowMotion, Windows
 from vpptwin.twin.robot.manifold import find_place
@@ -24,10 +24,6 @@ MOTIONS = 4
 """Motions of one variation, those simulated last, that a bench keeps."""
 ASTRAY, FARTHEST = 1e4, 1e8
 """Noises by which a simulation that diverged is taken to miss, and by which any can: squares must not overflow."""
-NEARLY = 0.25
-"""Share by which effects may differ that change alike what others do."""
-INERTIAS = {"body_mass", "body_inertia", "dof_armature"}
-"""Constants that tell how hard a rig is to accelerate."""
 FAR, UNSEEN = 8.0, 1e4
 """Typical sizes beyond which an effect changes what others do, and beyond which it is a limit that nothing reaches."""
 
@@ -41,12 +37,9 @@ class Bench(Runs):
         criteria: thresholds of the diagnosis that works on it.
 
     Attributes:
-        followed: degrees of freedom whose starts, and those whose pulses, tracks of other twins follow, (nv,) each;
-            None where all keep the track.
         folds: which fold every window belongs to, (K,), and parameters as fitted to all other folds: those judge it.
     """
 
-    followed: tuple[np.ndarray, np.ndarray] | None = None
     folds: tuple[np.ndarray, Sequence[Mapping[Key, float]]] | None = None
 
     def __init__(
@@ -184,21 +177,6 @@ class Bench(Runs):
         rubbing = {e.id for e in self.spec.catalogue if e.stage in (Stage.FRICTION, Stage.SLIP)}
         far = {effect for effect, _ in self.regime(values)} - rubbing
         return self.without_dry_friction | {key: value for key, value in values.items() if key[0] in far}
-
-    @cached_property
-    def _heavy(self) -> frozenset[str]:
-        """Ids of the effects that change how hard the rig is to accelerate."""
-        return frozenset(e.id for e in self.spec.catalogue if INERTIAS & set(e.writes))
-
-    def weights(self, values: Mapping[Key, float]) -> dict[Key, float]:
-        """Those of the values that tell how hard the rig is to accelerate."""
-        return {key: value for key, value in values.items() if key[0] in self._heavy}
-
-    def is_near(self, known: Mapping[Key, float], values: Mapping[Key, float]) -> bool:
-        """Whether effects are nearly as strong as what is known, so that a rig is pushed about as it was there."""
-        effects = [(find_effect(self.spec.catalogue, effect_id), name) for effect_id, name in known]
-        sizes = [(abs(known[e.id, n] - self.spec.value(e, n)), e.parameter(n).size) for e, n in effects]
-        return all(abs(values[key] - known[key]) <= NEARLY * max(size) for key, size in zip(known, sizes))
 
     def _observe(self, variation: Variation, motion: WindowMotion) -> np.ndarray:
         """All channels of one variation, (K, M)."""

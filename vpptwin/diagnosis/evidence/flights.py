@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -50,15 +50,6 @@ GROWN, LEAST_WINDOW = 2.5, 0.2
 """Errors of a window's start may grow by this much on a logarithmic scale; windows no shorter than that [s]."""
 MANY_JOINTS = 1.5
 """Degrees of freedom from which fewer windows do: each shows more, and costs more."""
-
-
-@dataclass(frozen=True)
-class Split:
-    """Start times per flight, fitted and held out; `whole` tells whether whole flights are held out."""
-
-    fitted: list[np.ndarray]
-    held_out: list[np.ndarray]
-    whole: bool
 
 
 def choose_window(spec: TwinSpec, measurements: Sequence[Measurements]) -> tuple[TwinSpec, list[Measurements]]:
@@ -145,27 +136,6 @@ def list_starts(measurements: Sequence[Measurements], window: float) -> list[np.
             )
         starts.append(kept)
     return starts
-
-
-def split_flights(
-    measurements: Sequence[Measurements], window: float, judges: Collection[int] = (), short: bool = False
-) -> Split:
-    """Hold out the flights `judges` where there are several, else every third block, or if `short` window, of one."""
-    starts = list_starts(measurements, window)
-    count = len(measurements)
-    if count > 1:
-        empty = np.empty(0)
-        fitted = [empty if i in judges else s for i, s in enumerate(starts)]
-        return Split(fitted, [s if i in judges else empty for i, s in enumerate(starts)], True)
-    flight = measurements[0]
-    judging = hold_out_third(flight, starts[0], window, short)
-    if judging.sum() < MIN_JUDGES:
-        raise InputError(
-            f"{flight.name}: {flight.duration:.1f} s, of which {judging.sum()} windows can be held out",
-            f"at least {3 * MIN_JUDGES * window + 2 * SETTLE + window:.0f} s, or several logs",
-            "log for longer",
-        )
-    return Split([starts[0][~judging]], [starts[0][judging]], False)
 
 
 def hold_out_third(flight: Measurements, starts: np.ndarray, window: float, short: bool) -> np.ndarray:

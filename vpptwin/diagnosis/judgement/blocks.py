@@ -45,19 +45,3 @@ def to_deviations(times: float, number: int) -> float:
     """
     tail = max(float(student.sf(abs(times), number - 1)), 1e-300) if number > 1 else 0.5
     return float(np.copysign(norm.isf(tail), times))
-
-
-def improvement(before: np.ndarray, after: np.ndarray, times: float) -> tuple[float, float]:
-    """Drop in surprise over all windows and its standard error, from windows paired before and after, (K,) each.
-
-    The error is larger from a few, as `to_deviations` says.
-    Drops beyond so many times their root mean square count as that much: a window which goes astray does not decide.
-    """
-    drop = before - after
-    most = times * float(np.sqrt(np.mean(drop**2)))
-    drop = np.clip(drop, -most, most)
-    if len(drop) < 2:
-        return float(drop.sum()), float("inf")
-    found, error = float(drop.sum()), float(drop.std(ddof=1) * np.sqrt(len(drop)))
-    deviations = to_deviations(found / max(error, 1e-300), len(drop))
-    return found, found / deviations if deviations else error

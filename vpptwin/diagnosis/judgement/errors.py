@@ -44,24 +44,6 @@ class PredictionErrors:
                     return True
         return False
 
-    def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
-        """By how many standard errors the errors over all horizons favour `after`, fewer where few blocks tell them."""
-        ratios = np.stack([np.nanmean(rows, axis=1) for rows in self.ratios(before, after).values()])
-        growth = np.nanmean(ratios, axis=0)
-        mean, error = tell_apart(growth[:, None])
-        times, number = float(-mean[0] / max(error[0], 1e-12)), int(np.isfinite(growth).sum())
-        return to_deviations(times, number) if number < self.criteria.judges else times
-
-    def feels(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
-        """Whether errors of the pose up to `watched` ahead fall by as much as noise makes, and not by chance.
-
-        In short windows, whose starting states are fitted, those take up much of what such errors show.
-        """
-        (first, second), noise = map(self.squares, (before, after)), self._noise
-        near = sum(horizon <= self.criteria.watched for horizon in HORIZONS_S)
-        drops = [(np.nanmean(first[n] - second[n], axis=0) / noise[n])[:near] for n in set(first) & {"m", "rad"}]
-        return bool(np.max(drops) > self.criteria.felt) and self.prefer(before, after) > self.criteria.sigmas_held_out
-
     def ratios(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, np.ndarray]:
         """Log of error after over error before in every block of flight and per horizon, (B, H); as `squares` names.
 

@@ -27,8 +27,6 @@ MUCH = 10**6
 """Multiplications for which another thread pays."""
 MOST_COUPLED = 432
 """Pulses in a stretch of windows: the cost of coupling them grows with the cube, the loss at a cut is small."""
-STORMS = np.geomspace(1.0, 1e4, 81)
-"""By which gusts' variance may be larger in a window."""
 STEP_POSE = {False: 0.002, True: 0.005}
 STEP_VELOCITY = {False: 0.01, True: 0.05}
 
@@ -138,14 +136,12 @@ class Likelihood:
         gust: strength of the gusts as a multiple of what is assumed, per degree of freedom, (nv,).
         stretches: windows whose gusts are coupled, in the order of time, with the factor of I + C, (n G, n G).
         logdet: logarithm of the determinant of S, every window's share of it, (K,).
-        storm: by how much more than in others the variance of gusts is in every window, (K,); None for nowhere.
     """
 
     response: Response
     gust: np.ndarray
     stretches: list[tuple[np.ndarray, np.ndarray]]
     logdet: np.ndarray
-    storm: np.ndarray | None = None
 
     def whiten(self, residual: np.ndarray) -> np.ndarray:
         """Residuals (..., K, M) in units of their own standard deviation; independent if the model is right."""
@@ -229,27 +225,21 @@ def list_stretches(bench: Bench) -> list[np.ndarray]:
     return [piece for part in whole for piece in np.array_split(part, -(-len(part) // most))]
 
 
-def couple_gusts(bench: Bench, response: Response, gust: np.ndarray, storm: np.ndarray | None = None) -> Likelihood:
+def couple_gusts(bench: Bench, response: Response, gust: np.ndarray) -> Likelihood:
     """The likelihood of a twin whose windows respond so, under gusts `gust` times as strong as assumed, (nv,).
 
     Args:
         bench: K windows.
         response: what starting states and pulses do in them.
         gust: (nv,).
-        storm: by how much more than in others the variance of gusts is in every window, (K,), which has its price.
     """
     size = response.triangles.shape[1]
     time, stretches = middles_of_segments(bench), list_stretches(bench)
     factors, sizes = [np.empty(0)] * len(stretches), response.sensors.logdet.copy()
-    if storm is not None:
-        sizes += price_of_storm(storm, size, bench.criteria.tails)
 
     def couple(begin: int, end: int) -> None:
         for number, part in enumerate(stretches[begin:end], begin):
             prior = np.kron(likeness_of_gusts(bench, time[part].ravel()), np.diag(gust**2))
-            if storm is not None:
-                stronger = np.repeat(np.sqrt(storm[part]), size)
-                prior *= stronger[:, None] * stronger
             rows = np.zeros((len(part) * size, len(part) * size))
             for i, k in enumerate(part):
                 rows[i * size : (i + 1) * size, i * size : (i + 1) * size] = response.triangles[k]
@@ -257,7 +247,7 @@ def couple_gusts(bench: Bench, response: Response, gust: np.ndarray, storm: np.n
             sizes[part] += 2.0 * np.log(np.diag(factors[number])).reshape(len(part), -1).sum(axis=1)
 
     in_parts(couple, len(stretches), least=max(MUCH // size**3, 1))
-    return Likelihood(response, gust, list(zip(stretches, factors)), sizes, storm)
+    return Likelihood(response, gust, list(zip(stretches, factors)), sizes)
 
 
 def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: float = 1.0) -> np.ndarray:
@@ -297,41 +287,6 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
     low, high = np.log(criteria.least_gust), np.log(bench.spec.robot.disturbance.most)
     found = minimize(surprise, np.zeros(nv), jac=True, method="L-BFGS-B", bounds=[(low, high)] * nv)
     return np.exp(found.x)
-
-
-def find_storms(bench: Bench, response: Response, residual: np.ndarray, gust: np.ndarray, scale: float) -> np.ndarray:
-    """By how much more than in others gusts' variance probably is in every window, (K,), 1 or more; see `tune_gust`.
-
-    Somebody lends a hand, a cable catches: a window with a push of its own must not decide how hard all others are
-    pushed, and so which effect is likely.
-    """
-    along = response.along(residual) / np.sqrt(scale)
-    alike = likeness_of_gusts(bench, middles_of_segments(bench))
-    size = response.triangles.shape[1]
-    strength, ways = np.linalg.eigh(spread_pulses(response, alike, gust**2))
-    square = np.einsum("kgi,kg->ki", ways, along) ** 2
-    spread = 1.0 + STORMS[:, None, None] * np.maximum(strength, 0.0)
-    price = price_of_storm(STORMS, size, bench.criteria.tails)
-    cost = (square / spread + np.log(spread)).sum(axis=2) + price[:, None]
-    found: np.ndarray = STORMS[np.argmin(cost, axis=0)]
-    return found
-
-
-def spread_pulses(response: Response, alike: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Covariance of what pulses do in every window by itself, along the basis, (K, G, G).
-
-    Args:
-        response: what pulses do.
-        alike: correlation between the segments of a window, (K, segments, segments).
-        variance: square of the gusts' strength as a multiple of what is assumed, (nv,).
-    """
-    prior = np.einsum("kij,ab->kiajb", alike, np.diag(variance)).reshape(response.triangles.shape)
-    return response.triangles @ prior @ np.swapaxes(response.triangles, 1, 2)
-
-
-def price_of_storm(storm: np.ndarray, size: int, tails: float) -> np.ndarray:
-    """Twice the negative log of how probable stronger gusts are, of `size` pulses: with it, they have Student's t."""
-    return tails * size * (np.log(storm) + 1.0 / storm - 1.0)
 
 
 def measure_response(

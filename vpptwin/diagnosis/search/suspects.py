@@ -59,10 +59,6 @@ class Unknown:
         spread = prior.b - prior.a if prior.kind == "uniform" else 3.0 * prior.b
         return spread if self.is_limit else min(max(spread, 3.0 * parameter.size), parameter.high - parameter.low)
 
-    def scale_at(self, value: float) -> float:
-        """A natural unit of the parameter about a value, for well-conditioned algebra."""
-        return LIMIT_STEP * value if self.is_limit else max(self.parameter.size, 1e-12)
-
     def step_from(self, value: float) -> float:
         """Secant step from a value: a physically typical size, turned or shortened where the bounds leave no room."""
         low, high = self.parameter.low, self.parameter.high
