@@ -10,15 +10,12 @@ from tempfile import TemporaryDirectory
 import mujoco
 import numpy as np
 
+from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.holdout import Score
+from vpptwin.diagnosis.judgement.selection import Explanation
 from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Rival, Unexplained, Verdict
-from vpptwin.diagnosis.search.fits import Fit
-from vpptwin.diagnosis.search.frame import Frame, Linearisation, Rows
-from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts
-from vpptwin.diagnosis.search.search import Search
-from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.estimation.windows import Windows
 from vpptwin.twin.robot.robot import Disturbance, Robot
 from vpptwin.twin.spec import TwinSpec, load_twin
@@ -94,50 +91,10 @@ def lay_bench(
     return Bench(spec, lay_windows(spec, start, flight, command, steps), [], segments)
 
 
-class Unsearched(Search):
-    """A search that has fitted nothing yet.
-
-    Args:
-        bench: its windows.
-        unknowns: parameters under suspicion.
-    """
-
-    def __init__(self, bench: Bench, unknowns: tuple[Unknown, ...]) -> None:
-        self.bench, self.unknowns, self.criteria = bench, unknowns, bench.criteria
-
-
-def whiten_nothing(values: int, gust: float = 1.0) -> Likelihood:
-    """The likelihood of one window of values whose noise is 1, which neither its start nor gusts move."""
-    response = Response(
-        np.zeros((1, values, 2)), np.ones(2), np.zeros((1, values, 1)), np.ones((1, values)), values, np.ones(1)
-    )
-    return couple_gusts(lay_bench([0.0]), response, np.array([gust]))
-
-
-def linear(
-    at: np.ndarray, columns: np.ndarray, residual: np.ndarray, tried: np.ndarray | None = None, scale: float = 1.0
-) -> Linearisation:
-    """A linear experiment, given whitened, in a frame in which noise has variance `scale`."""
-    tried = np.empty((0, len(residual))) if tried is None else tried
-    frame = Frame(np.ones(len(residual)), scale, np.zeros(len(residual)))
-    return Linearisation(
-        frame, whiten_nothing(len(residual)), at, Rows(columns[:, None]), residual[None], None, tried[:, None],
-        Rows(columns), residual, columns @ columns.T,
-    )  # fmt: skip
-
-
-FRAME = Frame(np.ones(1), 1.0, np.zeros(1))
-
-
-def guess(values: dict[Key, float], cost: float = 0.0, frame: Frame = FRAME, gust: float = 1.0) -> Fit:
-    """A fit of which values, cost and frame count, under gusts as assumed or so many times as strong."""
-    nothing = Rows(np.zeros((0, 1)))
-    about = Linearisation(
-        frame, whiten_nothing(1, gust), np.zeros(0), nothing, np.zeros((1, 1)), None, np.zeros((0, 1, 1)), nothing,
-        np.zeros(1), np.zeros((0, 0)),
-    )  # fmt: skip
+def guess(values: dict[Key, float], gust: float = 1.0) -> Explanation:
+    """An explanation of which values count, under gusts as the robot states or so many times as strong."""
     off, freed = dict.fromkeys(values, 0.0), frozenset(effect for effect, _ in values)
-    return Fit(freed, values, off, np.zeros((len(off), len(off))), cost, about, {})
+    return Explanation(freed, values, off, {}, np.array([gust]), CRITERIA)
 
 
 FORCE = Estimate(0.3081, "N", 0.0123, 0.0)

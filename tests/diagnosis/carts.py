@@ -12,6 +12,8 @@ from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import build_bench
 from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.power import Shown
+from vpptwin.diagnosis.search.hypotheses import TEMPER, open_fitter
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.estimation.measurements import Measurements, Series
@@ -55,3 +57,9 @@ def open_judges(spec: TwinSpec, flight: Measurements, starts: np.ndarray = JUDGI
     """The windows that judge."""
     bench = cut(spec, flight, starts)
     return HeldOut(bench, bench)
+
+
+def show(search: Search) -> Shown:
+    """What a search's windows would have shown beside the nominal twin."""
+    fitter = open_fitter(search.bench, search.unknowns, search.bench)
+    return Shown(fitter, fitter.fit(frozenset(), {}), TEMPER)

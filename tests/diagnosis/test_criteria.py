@@ -11,6 +11,7 @@ from tests.diagnosis.carts import FITTED, WINDOW, load_cart, measure_cart
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.flights import build_bench
+from vpptwin.diagnosis.judgement.errors import PredictionErrors
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import list_unknowns
@@ -40,12 +41,9 @@ def test_every_criterion_is_used_and_none_is_read_from_the_module() -> None:
 
 
 def test_what_is_handed_to_a_bench_decides_on_it(tmp_path: Path) -> None:
-    """A bar of 1e9 leaves no effect, however many are fitted; noise floors, fits and judges have the same criteria."""
+    """Whatever asks for a threshold asks those of its bench."""
     spec, flight = load_cart(tmp_path), measure_cart(drive_cart(FRICTION, 5), 7)
-    strict = replace(CRITERIA, bar=1e9, shortlist=1)
+    strict = replace(CRITERIA, named=0.5)
     bench = build_bench(spec, [flight], [FITTED], WINDOW, False, criteria=strict)
     search = Search(bench, list_unknowns(spec))
-    assert search.criteria is search.start.frame.criteria is HeldOut(bench, bench).criteria is strict
-    values = {("slide.coulomb", "force"): FRICTION, ("slide.bias", "force"): 0.05}
-    both = search.fit(frozenset(effect for effect, _ in values), values, search.start.about)
-    assert len(search.drop_superfluous(search.reframe(both)).effects) == 1
+    assert search.criteria is HeldOut(bench, bench).criteria is PredictionErrors(bench).criteria is strict

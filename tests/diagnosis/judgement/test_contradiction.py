@@ -16,9 +16,7 @@ from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.contradiction import Seen, weigh_causes
 from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.evidence.runs import Key
-from vpptwin.diagnosis.judgement import conclusion
 from vpptwin.diagnosis.judgement import diagnose as judgement
-from vpptwin.diagnosis.judgement.conclusion import HARMING
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.effects import find_effect
@@ -170,13 +168,13 @@ def rubbing(tmp_path_factory: pytest.TempPathFactory) -> tuple[TwinSpec, Flight]
 
 def swear_by(patch: pytest.MonkeyPatch, rubbing: tuple[TwinSpec, Flight], key: Key, value: float) -> Verdict:
     """The verdict of a search that swears by another effect beside the dry friction."""
-    impose = judgement.impose_causes
+    select = judgement.select_inferred
 
     def swear(*given: object) -> Selection:
-        selection = impose(*given)  # type: ignore[arg-type]
+        selection = select(*given)  # type: ignore[arg-type]
         return replace(selection, fit=replace(selection.fit, values=selection.fit.values | {key: value}))
 
-    patch.setattr(judgement, "impose_causes", swear)
+    patch.setattr(judgement, "select_inferred", swear)
     return judgement.diagnose(rubbing[0], [rubbing[1]], causes=["slide.coulomb", key[0]]).verdict
 
 
@@ -188,16 +186,3 @@ def test_a_verdict_with_a_made_up_cause_says_so(
     by_name = {cause.effect: cause for cause in verdict.causes}
     assert by_name["slide.viscous"].confidence <= CRITERIA.sober
     assert verdict.warnings[0].startswith("slide.viscous is doubted: on joint slide inverse dynamics")
-    assert HARMING.format("slide.viscous") in verdict.warnings
-
-
-def test_a_cause_that_does_harm_is_an_even_chance(
-    rubbing: tuple[TwinSpec, Flight], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A force of which inverse dynamics has no say here."""
-    monkeypatch.setattr(conclusion, "weigh_causes", lambda *given: [])
-    verdict = swear_by(monkeypatch, rubbing, ("slide.bias", "force"), 0.5)
-    by_name = {cause.effect: cause for cause in verdict.causes}
-    assert by_name["slide.bias"].gain < 0.0
-    assert by_name["slide.bias"].confidence <= CRITERIA.sober < by_name["slide.coulomb"].confidence
-    assert HARMING.format("slide.bias") in verdict.warnings

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.diagnosis.carts import load_cart, measure_cart, open_search
+from tests.diagnosis.carts import load_cart, measure_cart, open_search, show
 from tests.diagnosis.rigs import drive_cart
 from vpptwin.diagnosis.judgement.power import judge_power, weigh_strength
 from vpptwin.diagnosis.judgement.verdict import Cleared, Unseen
@@ -26,7 +26,7 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Search:
 @pytest.fixture(scope="module")
 def verdict(moving: Search) -> tuple[list[Cleared], list[Unseen]]:
     """What it could have shown."""
-    return judge_power(moving, moving.start, frozenset())
+    return judge_power(moving, show(moving), frozenset())
 
 
 def test_what_a_good_flight_clears(moving: Search, verdict: tuple[list[Cleared], list[Unseen]]) -> None:
@@ -34,7 +34,7 @@ def test_what_a_good_flight_clears(moving: Search, verdict: tuple[list[Cleared],
     cleared, unseen = verdict
     effects = {u.effect.id for u in moving.unknowns}
     assert sorted([s.effect for s in cleared] + [s.effect for s in unseen]) == sorted(effects)
-    cleared, unseen = judge_power(moving, moving.start, frozenset({"slide.coulomb"}))
+    cleared, unseen = judge_power(moving, show(moving), frozenset({"slide.coulomb"}))
     assert {s.effect for s in cleared} | {s.effect for s in unseen} == effects - {"slide.coulomb"}
     # What a cart without any effect shows: off values inside, to 90 % each; all narrower than a typical size.
     cleared, _ = verdict
@@ -63,7 +63,7 @@ def test_where_nothing_moves_nothing_of_motion_is_seen(tmp_path: Path) -> None:
     """
     still = np.zeros_like(drive_cart(0.0, 3)[0])
     search = open_search(load_cart(tmp_path), measure_cart((still, still, still), 7))
-    cleared, unseen = judge_power(search, search.start, frozenset())
+    cleared, unseen = judge_power(search, show(search), frozenset())
     names = {s.effect for s in unseen}
     assert names >= {
         "slide.viscous", "slide.inertia", "motor.gain", "motor.delay", "motor.lag", "motor.backlash",
@@ -83,7 +83,7 @@ def test_what_excludes_the_twin_is_not_cleared(tmp_path: Path) -> None:
     Friction of 0.15 N, of which a typical size is 0.4 N: beyond doubt there, and no more than that is said.
     """
     search = open_search(load_cart(tmp_path), measure_cart(drive_cart(0.15, 3), 7))
-    cleared, unseen = judge_power(search, search.start, frozenset())
+    cleared, unseen = judge_power(search, show(search), frozenset())
     unknowns = {u.key: u for u in search.unknowns}
     for suspect in cleared:
         unknown = unknowns[suspect.effect, suspect.parameter]
@@ -97,5 +97,5 @@ def test_what_excludes_the_twin_is_not_cleared(tmp_path: Path) -> None:
 def test_what_only_changes_another_effect_needs_it(moving: Search) -> None:
     """Friction that depends on the direction is not there to be seen where there is no friction."""
     effect = asymmetry(JointScale("a", "on a"))
-    found = weigh_strength(moving, moving.start, Unknown(effect, effect.parameters[0], 0.0))
+    found = weigh_strength(moving, show(moving), Unknown(effect, effect.parameters[0], 0.0))
     assert found == Unseen("a.asymmetry", "it only changes a.coulomb, which the twin lacks")

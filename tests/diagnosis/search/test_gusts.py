@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -20,7 +18,6 @@ from vpptwin.diagnosis.search.likelihood import (
     likeness_of_gusts,
     list_stretches,
     middles_of_segments,
-    price_of_storm,
     tune_gust,
 )
 from vpptwin.robots.planar_drone.craft import GUST_TIME
@@ -203,39 +200,6 @@ def test_a_window_astray_makes_no_storm() -> None:
     squares = (response.along(residual) ** 2).sum(axis=1)
     assert squares.mean() > 7.0 * np.delete(squares, ordinary).mean()
     np.testing.assert_allclose(tune_gust(bench, response, residual), calm, rtol=0.1)
-
-
-def test_a_push_of_its_own_is_a_storm() -> None:
-    """Pulses thirty times as strong in one window are one; a flight through gusts as assumed has hardly any."""
-    bench, response = lay_bench(2.0 * np.arange(60.0)), draw_response(60)
-    residual = draw_flight(bench, response, np.ones(2), 3)
-    calm = find_storms(bench, response, residual, np.ones(2), 1.0)
-    assert np.sum(calm > 1.0) < 30
-    assert calm.max() < 4.0
-    ordinary = np.argsort((response.along(residual) ** 2).sum(axis=1))[30]
-    residual[ordinary] += response.push[ordinary] @ np.array([30.0, -30.0, 30.0, 30.0, -30.0, 30.0])
-    found = find_storms(bench, response, residual, np.ones(2), 1.0)
-    assert found[ordinary] > 50.0
-    np.testing.assert_array_equal(np.delete(found, ordinary), np.delete(calm, ordinary))
-    # It costs what Student's tails cost: far less than the push would.
-    cost = []
-    for storm in (None, found):
-        likelihood = couple_gusts(bench, response, np.ones(2), storm)
-        cost.append((likelihood.whiten(residual)[ordinary] ** 2).sum() + likelihood.logdet[ordinary])
-    assert cost[1] < 0.2 * cost[0]
-
-
-def test_a_storm_is_a_stronger_gust() -> None:
-    """The determinant of the joint covariance with those pulses that much stronger, and its price."""
-    bench, response = lay_bench(SHUFFLED, FLIGHT), draw_response(7)
-    storm, size = np.array([1.0, 4.0, 1.0, 9.0, 1.0, 1.0, 2.0]), SEGMENTS * NV
-    stronger = replace(response, push=response.push * np.sqrt(storm)[:, None, None])
-    joint = write_joint(bench, stronger, TOGETHER)
-    price = price_of_storm(storm, size, 4.0)
-    assert price[0] == 0.0
-    np.testing.assert_allclose(price[1], 4.0 * size * (np.log(4.0) + 0.25 - 1.0))
-    found = couple_gusts(bench, response, STRENGTH, storm).logdet - price
-    assert found.sum() == pytest.approx(np.linalg.slogdet(joint.reshape(7 * VALUES, -1))[1])
 
 
 def test_indoors_strength_is_fitted_too() -> None:

@@ -24,7 +24,7 @@ from vpptwin.diagnosis.search.likelihood import (
     gust_std,
     measure_response,
 )
-from vpptwin.diagnosis.search.motion import choose_track, follow_motion, shift_track
+from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.twin.robot import robot
 from vpptwin.twin.spec import load_twin
@@ -209,24 +209,6 @@ def test_a_track_follows_what_was_measured_and_changes_no_likelihood(bench: Benc
     np.testing.assert_allclose(followed, plain, atol=1e-6 * np.abs(plain).max())
     assert np.square(pushed.residual({}) / pushed.std).mean() < 0.5 < np.square(missed / pushed.std).mean()
     assert np.all(np.argmax(pushed.track.push[:, :, 0], axis=1) == 1)
-
-
-def test_a_force_that_a_parameter_makes_leaves_the_track(bench: Bench) -> None:
-    """Pulses stood for a steady force of twice the usual gusts: a twin that has it misses nothing with and without."""
-    biased, drawn = {("slide.bias", "force"): 2.0 * GUST}, copy(bench)
-    drawn.__dict__["measured"] = bench.predict([Variation(biased)])[0]
-    drawn.track = follow_motion(drawn, {}, np.ones(1))
-    response, pushed = measure_response(drawn, {}), np.abs(drawn.track.push).mean()
-    assert pushed > 0.5 * GUST
-    assert np.square(drawn.residual(biased) / drawn.std).mean() > 1.0  # it acts twice
-    assert shift_track(drawn, biased, response)[1] is drawn.track  # where none is followed
-    drawn.followed = np.ones(1), np.ones(1)
-    missed, track = shift_track(drawn, biased, response)
-    assert track is not None
-    assert np.square(missed / drawn.std).mean() < 1e-6
-    assert np.abs(track.push).mean() < 0.01 * pushed
-    foretold = choose_track(drawn, couple_gusts(drawn, response, np.ones(1)), np.zeros_like(missed))
-    np.testing.assert_allclose(foretold.push, 0.0, atol=1e-12)
 
 
 def test_a_twin_that_runs_away_is_followed_somewhere(bench: Bench, response: Response) -> None:

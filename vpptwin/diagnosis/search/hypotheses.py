@@ -45,17 +45,13 @@ def compare_hypotheses(
     Raises:
         Stopped: before every candidate has been tried once.
     """
-    unknowns = {suspect.key: name_unknown(suspect, bench.criteria) for suspect in suspects}
-    trials = [name_trial(start, unknowns) for start in list_trials(tuple(suspects), scout)] + scan_friction(suspects)
-    whole = BenchSimulator(bench)
-    few = whole if scout is bench else BenchSimulator(scout)
-    fitter = Fitter(whole, list(unknowns.values()), trials, few)
+    fitter = open_fitter(bench, suspects, scout)
     effects = {suspect.effect.id: suspect.effect for suspect in suspects}
     usual = -float(np.log(max(len(effects), 2)))
     odds = {name: usual + (COLUMNS if name in bench.of_sensors or ZERO in effect.writes else 0.0)
             for name, effect in effects.items()}  # fmt: skip
     odds |= {name: float(np.log(p / (1.0 - p))) for name, p in bench.spec.priors.items() if name in odds and p > 0.0}
-    prior = whole.scale_prior
+    prior = fitter.simulator.scale_prior
     comparison = Comparison(
         TEMPER, odds, lambda fit: predict(fit.values), lambda fit: prior.strain(fit.posterior.scales)
     )
@@ -77,6 +73,15 @@ def compare_hypotheses(
             raise
         return comparison, fitter, True
     return comparison, fitter, False
+
+
+def open_fitter(bench: Bench, suspects: Sequence[Suspect], scout: Bench) -> Fitter:
+    """Fits of all candidates to a bench's windows; see `compare_hypotheses`."""
+    unknowns = {suspect.key: name_unknown(suspect, bench.criteria) for suspect in suspects}
+    trials = [name_trial(start, unknowns) for start in list_trials(tuple(suspects), scout)] + scan_friction(suspects)
+    whole = BenchSimulator(bench)
+    few = whole if scout is bench else BenchSimulator(scout)
+    return Fitter(whole, list(unknowns.values()), trials, few)
 
 
 def scan_friction(suspects: Sequence[Suspect]) -> list[Trial]:
