@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.evidence.flights import SETTLE, build_bench
 from vpptwin.diagnosis.evidence.runs import Key
-from vpptwin.diagnosis.search.search import Search
+from vpptwin.diagnosis.search.hypotheses import open_fitter
 from vpptwin.diagnosis.search.separation import separate
 from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.estimation.measurements import read_measurements
@@ -63,9 +63,9 @@ def fly_and_fit(spec: TwinSpec, manoeuvre: Manoeuvre, case: tuple[Explanation, .
     flight = read_measurements(spec, Flight(Path(manoeuvre.name), 0, record_streams(tracks), {}))
     length = spec.robot.window
     bench = build_bench(spec, [flight], [np.arange(flight.start + SETTLE, flight.end - length, length)], length, False)
-    search = Search(bench, list_unknowns(spec))
-    fits = [search.judge_alone(search.fit(e.effects, e.values, search.start.about)) for e in case]
-    return [float(np.sqrt(max(fits[0].evidence_against(rival), 0.0))) for rival in fits[1:]]
+    fitter = open_fitter(bench, list_unknowns(spec), bench)
+    evidence = [fitter.fit(e.effects, e.values).evidence for e in case]
+    return [float(np.sqrt(max(2.0 * (evidence[0] - rival), 0.0))) for rival in evidence[1:]]
 
 
 def print_case(spec: TwinSpec, case: tuple[Explanation, ...], flown: bool) -> None:

@@ -102,7 +102,7 @@ class Fit:
         windows: compressed about `values`.
         prior: of the parameters.
         path: about which all was simulated, (K, N); None for none.
-        hope: log marginal likelihood where the linear model about `values` has its optimum.
+        hope: log marginal likelihood where the linear model about `values` has its optimum, paths and all.
     """
 
     effects: frozenset[str]
@@ -311,7 +311,7 @@ class Fitter:
         there = infer(windows, prior, scale_prior, here.scales) if unknowns else here
         astray = 0.0 if path is None else strain(windows, path, here.scales)
         penalised = Posterior(here.mean, there.precision, here.deviance + astray, there.penalty, here.scales)
-        hope = -0.5 * (there.deviance + astray + there.penalty)
+        hope = -0.5 * (there.deviance + there.penalty)
         return Fit(effects, values, penalised, windows, prior, path, hope), there
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.builders import guess
 from tests.diagnosis.carts import load_cart, measure_cart, open_judges, open_search
 from tests.diagnosis.rigs import drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
@@ -57,7 +58,7 @@ def judge(folder: Path, cogging: float) -> Leftover:
     flight = measure_cart(drive_cart(0.0, 3, cogging), 7)
     spec = scale_twin(load_cart(folder), [flight])
     search = open_search(spec, flight)
-    return judge_leftover(open_judges(spec, flight), search, search.start)
+    return judge_leftover(open_judges(spec, flight), search, guess({}))
 
 
 def test_a_force_that_no_effect_makes_is_found(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ def simulator(tmp_path_factory: pytest.TempPathFactory) -> BenchSimulator:
     velocity = Series("slide rate", "m/s", time, np.full_like(time, 0.3), 1e-2, white=False)
     command = Series("control", "", time, np.zeros((len(time), 1)), 0.0)
     flight = Measurements("coasting", {0: position}, {0: velocity}, None, command, None, (), 0.0, time[-1])
-    return BenchSimulator(build_bench(spec, [flight], [0.5 + np.arange(5)], 0.4, False), ["slide.coulomb"])
+    return BenchSimulator(build_bench(spec, [flight], [0.5 + np.arange(5)], 0.4, False))
 
 
 def test_a_path_moves_windows_as_responses_foretell(simulator: BenchSimulator) -> None:
@@ -33,9 +33,3 @@ def test_a_path_moves_windows_as_responses_foretell(simulator: BenchSimulator) -
     np.testing.assert_allclose(nuisance.restore(along, path), about_none, atol=1e-6)
     np.testing.assert_allclose(simulator.respond({}, path).columns, nuisance.columns, atol=1e-3)
     np.testing.assert_array_equal(simulator.residuals([{}], {}, np.zeros_like(path))[0], about_none)
-
-
-def test_hypotheses_follow_where_one_of_their_effects_does(simulator: BenchSimulator) -> None:
-    """Dry friction does, viscous friction does not."""
-    assert simulator.follows(frozenset({"slide.coulomb", "slide.viscous"}))
-    assert not simulator.follows(frozenset({"slide.viscous"}))

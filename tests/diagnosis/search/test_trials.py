@@ -94,7 +94,6 @@ def test_secants_by_hand() -> None:
     """Of limits shares of them: downwards, where a limit acts more; upwards at the lower bound."""
     assert RATE.step_from(10.0) == pytest.approx(-10.0 * LIMIT_STEP)
     assert RATE.step_from(0.5) == pytest.approx(0.5 * LIMIT_STEP)
-    assert RATE.scale_at(10.0) == pytest.approx(10.0 * LIMIT_STEP)
     # Between 0 and 1 with a size of 3: from 0.2 up to 1, from 0.8 down to 0.
     parameter = Parameter(name="p", unit="", off=0.0, low=0.0, high=1.0, prior=Prior("normal", 0.0, 0.1), size=3.0)
     unknown = Unknown(bias(PLACE), parameter, 0.0)
