@@ -282,7 +282,9 @@ class Fitter:
             if gain > 0.0:
                 best, ahead, stride, scales, nuisance = fit, there.mean, min(1.0, 2.0 * stride), there.scales, known
                 taken += 1
-                if gain < settled:
+                if lent and taken == steps and fit.hope - fit.evidence > ROUGH:
+                    lent, taken = False, taken - 1  # it responds otherwise than what it is beside
+                elif gain < settled:
                     break
             else:
                 stride *= 0.4
