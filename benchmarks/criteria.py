@@ -39,10 +39,9 @@ Run = dict[str, Any]
 """One diagnosis: session `number`, its `plan`, criterion `name` ("" for none), `change` and what was `found`."""
 TEXT = """# Thresholds
 
-Every threshold that decides what a [diagnosis](diagnose.md) says. `diagnose(..., criteria=Criteria(bar=20.0))` uses
+Every threshold that decides what a [diagnosis](diagnose.md) says. `diagnose(..., criteria=Criteria(named=0.2))` uses
 others. `python benchmarks/criteria.py --page > docs/criteria.md` writes this page from
-`vpptwin/diagnosis/criteria.py`, where the origin of each value stands too. On jointed rigs [hypotheses are
-compared](inference.md) in another way, and only the thresholds of the last checks apply.
+`vpptwin/diagnosis/criteria.py`, where the origin of each value stands too.
 
 None is derived from theory. Most were changed by hand while development sessions were inspected; others are beliefs
 about rigs, or calibrated with simulated sessions.

@@ -25,11 +25,10 @@ def run(
 
 
 def test_counts_stay_counts() -> None:
-    """Half of 5 suspects are 2, half of 1 is 1; 10 becomes 20; nothing else changes."""
-    assert criteria.vary(CRITERIA, "shortlist", 0.5).shortlist == 2
-    assert criteria.vary(criteria.vary(CRITERIA, "starts", 0.5), "starts", 0.5).starts == 1
-    doubled = criteria.vary(CRITERIA, "bar", 2.0)
-    assert (doubled.bar, doubled.temper) == (20.0, CRITERIA.temper)
+    """Half of 6 impacts are 3; 2.5 becomes 5; nothing else changes."""
+    assert criteria.vary(CRITERIA, "fewest_blows", 0.5).fewest_blows == 3
+    doubled = criteria.vary(CRITERIA, "tolerances", 2.0)
+    assert (doubled.tolerances, doubled.temper) == (5.0, CRITERIA.temper)
 
 
 def test_changes_are_counted_on_the_same_sessions() -> None:
@@ -39,13 +38,13 @@ def test_changes_are_counted_on_the_same_sessions() -> None:
     """
     runs = [
         run(3, "", ""), run(7, "", "", "pitch.bias"),
-        run(3, "bar", "halved", "air.drag"), run(7, "bar", "halved", "pitch.bias"), run(0, "bar", "halved"),
-        run(3, "bar", "doubled"), run(7, "bar", "doubled"),
+        run(3, "tolerances", "halved", "air.drag"), run(7, "tolerances", "halved", "pitch.bias"), run(0, "tolerances", "halved"),
+        run(3, "tolerances", "doubled"), run(7, "tolerances", "doubled"),
         run(3, "temper", "halved"), run(7, "temper", "halved", "pitch.bias", confidence=0.96),
     ]  # fmt: skip
     table = criteria.compare(runs)
-    assert criteria.tell_change(table["bar", "halved"]) == "1 of 2 verdicts, wrong 0 → 1, false alarm 0 → 1"
-    assert criteria.tell_change(table["bar", "doubled"]) == "1 of 2 verdicts, detected 1 → 0, in a group 1 → 0"
+    assert criteria.tell_change(table["tolerances", "halved"]) == "1 of 2 verdicts, wrong 0 → 1, false alarm 0 → 1"
+    assert criteria.tell_change(table["tolerances", "doubled"]) == "1 of 2 verdicts, detected 1 → 0, in a group 1 → 0"
     assert criteria.tell_change(table["temper", "halved"]) == "none of 2 verdicts"
     assert criteria.tell_change(table.get(("temper", "doubled"))) == "-"
 

@@ -1,6 +1,6 @@
 """Every threshold that decides a verdict: what it is, in which unit, and where it comes from.
 
-`diagnose(..., criteria=Criteria(bar=20.0))` diagnoses under others; docs/criteria.md has all as a table, with what
+`diagnose(..., criteria=Criteria(named=0.2))` diagnoses under others; docs/criteria.md has all as a table, with what
 halving and doubling them does (benchmarks/criteria.py). What only costs time or accuracy (steps of differences, bins,
 iterations, how flights are cut) stays where it is used.
 """
@@ -57,7 +57,7 @@ class Criteria:
 
     # Judgement: what becomes a cause.
     tolerances: float = by_hand(2.5, "tolerance", "by which a parameter must leave its nominal", "85fc87b")
-    even: float = by_hand(0.02, "", "share by which held-out chi² may grow where a twin sticks: one slip makes more",
+    even: float = by_hand(0.02, "", "share by which an error ahead may grow",
         "tests allow no more since 85fc87b")
     block: float = by_hand(1.5, "s", "windows that count as one when errors are resampled", "e1272d1 (5 gust times)")
 

@@ -10,7 +10,7 @@ import pytest
 
 from tests.builders import load_rig
 from tests.diagnosis.carts import load_cart
-from vpptwin.diagnosis.evidence.flights import SETTLE, choose_window, list_starts, long_starts, split_flights, thin_out
+from vpptwin.diagnosis.evidence.flights import SETTLE, choose_window, list_starts, long_starts, thin_out
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import load_twin
@@ -28,63 +28,6 @@ def test_windows_lie_side_by_side_inside_the_flight() -> None:
     """In 6 s there is room for 19 windows of 0.3 s from 0.2 s on: the last ends at 5.9 s."""
     (starts,) = list_starts([fly(6.0)], 0.3)
     np.testing.assert_allclose(starts, SETTLE + 0.3 * np.arange(19))
-
-
-@pytest.mark.parametrize(("flights", "judges"), [(2, {1}), (3, {0}), (5, {1, 3})])
-def test_of_several_flights_the_judges_are_held_out_whole(flights: int, judges: set[int]) -> None:
-    """Each flight either is fitted or judges, every window of it."""
-    measurements = [fly(6.0 + i) for i in range(flights)]
-    split = split_flights(measurements, 0.3, judges)
-    assert split.whole
-    for i, (starts, fitted, judging) in enumerate(zip(list_starts(measurements, 0.3), split.fitted, split.held_out)):
-        mine, other = (judging, fitted) if i in judges else (fitted, judging)
-        np.testing.assert_array_equal(mine, starts)
-        assert len(other) == 0
-
-
-def test_of_one_flight_every_third_block_is_held_out() -> None:
-    """30 s in blocks of 3 s: windows that start within [6, 9), [15, 18), [24, 27) s of the first one judge."""
-    split = split_flights([fly(30.0)], 0.7)
-    assert not split.whole
-    (fitted,), (judging,) = split.fitted, split.held_out
-    tenths = 7 * np.arange(42)
-    np.testing.assert_allclose(judging, SETTLE + 0.1 * tenths[tenths // 30 % 3 == 2])
-    everything = np.sort(np.concatenate([fitted, judging]))
-    np.testing.assert_array_equal(everything, list_starts([fly(30.0)], 0.7)[0])
-    # 5 s hold 15 windows of 0.3 s, 4.5 s in blocks of 1.5 s: the last five judge.
-    split = split_flights([fly(5.0)], 0.3)
-    assert (len(split.fitted[0]), len(split.held_out[0])) == (10, 5)
-
-
-@pytest.mark.parametrize(
-    ("blocks", "judging"),
-    [((), 2), ((1,), 2), ((2, 3), 2), ((2,), 1), ((5, 8), 1), ((2, 4), 2), ((0, 1, 2), 2)],
-)
-def test_inputs_of_judges_are_those_of_the_fit(blocks: tuple[int, ...], judging: int) -> None:
-    """Of ten blocks of 3 s some have threefold inputs: where only the last third has, the one before it judges."""
-    flight = fly(31.0)
-    size = np.where(np.isin((flight.command.time - SETTLE) // 3.0, blocks), 3.0, 1.0)
-    command = (size * np.sin(9.0 * flight.command.time))[:, None]
-    split = split_flights([replace(flight, command=replace(flight.command, value=command))], 1.0)
-    np.testing.assert_allclose((split.held_out[0] - SETTLE + 1e-9) // 3.0 % 3, judging)
-    assert len(split.fitted[0]) + len(split.held_out[0]) == len(list_starts([flight], 1.0)[0])
-
-
-@pytest.mark.filterwarnings("error")
-def test_inputs_that_only_judges_have_are_fitted() -> None:
-    """Where nothing is asked for but in the last third, another judges, and numpy has nothing to warn of."""
-    flight = fly(31.0)
-    command = np.where((flight.command.time - SETTLE) // 3.0 % 3 == 2, 100.0, 0.0)[:, None]
-    split = split_flights([replace(flight, command=replace(flight.command, value=command))], 1.0)
-    np.testing.assert_allclose((split.held_out[0] - SETTLE + 1e-9) // 3.0 % 3, 1)
-
-
-@pytest.mark.parametrize("duration", [5.0, 6.5, 9.0])
-def test_too_few_windows_that_judge_are_refused(duration: float) -> None:
-    """Windows of 1 s need a flight of 9.4 s: with fewer than three that judge, chance would name causes."""
-    with pytest.raises(InputError, match="held out; expected at least 10 s"):
-        split_flights([fly(duration)], 1.0)
-    assert len(split_flights([fly(9.5)], 1.0).held_out[0]) == 3
 
 
 def test_too_many_windows_are_thinned_out_evenly() -> None:
@@ -113,21 +56,19 @@ def test_of_somebody_elses_rig_fewer_windows_are_looked_at(joints: int, every: i
 def test_sparse_flights_are_refused() -> None:
     """Under 20 poses a second there is nothing to diagnose."""
     with pytest.raises(InputError, match="measured 15 times a second"):
-        split_flights([fly(8.0), fly(8.0, rate=15.0)], 0.3)
+        list_starts([fly(8.0), fly(8.0, rate=15.0)], 0.3)
 
 
 @pytest.mark.parametrize(("duration", "window", "judges"), [(4.0, 0.4, 3), (6.0, 0.6, 3), (9.0, 0.9, 3), (9.5, 1.0, 3)])
 def test_windows_are_as_short_as_a_lone_log_asks_for(
     tmp_path: Path, duration: float, window: float, judges: int
 ) -> None:
-    """Nine windows fit into (duration - 0.2 s) / 9, in steps of 0.1 s; every third judges, and the log warns."""
+    """Nine windows fit into (duration - 0.2 s) / 9, in steps of 0.1 s; a third may be a fold, and the log warns."""
     spec, (flight,) = choose_window(load_cart(tmp_path), [fly(duration)])
     assert spec.robot.window == window
     assert spec.robot.is_short == (window < 1.0) == bool(flight.warnings)
-    split = split_flights([flight], window, short=spec.robot.is_short)
-    assert len(split.held_out[0]) == judges
+    assert len(list_starts([flight], window)[0]) // 3 == judges
     if window < 1.0:
-        np.testing.assert_allclose(split.held_out[0], SETTLE + window * np.array([2, 5, 8]))
         assert f"windows have {window:g} s" in flight.warnings[0]
 
 

@@ -234,7 +234,7 @@ def test_a_twin_that_runs_away_is_whitened() -> None:
 @pytest.mark.parametrize("outdoors", [True, False])
 @pytest.mark.parametrize("times", [0.0, 1e8, 1e12])
 def test_a_joint_that_answers_without_bounds_ends_nothing(times: float, outdoors: bool) -> None:
-    """One joint moves so many times as far as the other under a push, and strong ones push both: whitened all the same."""
+    """One joint moves so many times as far as the other under a push; strong ones push both: whitened all the same."""
     bench, response = lay_bench(LENGTH * np.arange(20.0), outdoors=outdoors), draw_response(20)
     response.push[:, :, 1::NV] *= times
     residual = np.ones((20, VALUES))

@@ -1,4 +1,4 @@
-"""Flights cut into windows, split into those that are fitted and those that only judge."""
+"""Flights cut into windows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from vpptwin.diagnosis.evidence.motor import observe_motor
 from vpptwin.diagnosis.evidence.runs import MakeTwin
 from vpptwin.estimation.gaps import usable_starts
 from vpptwin.estimation.measurements import Measurements
-from vpptwin.estimation.series import Series
 from vpptwin.estimation.strikes import mark_strikes
 from vpptwin.estimation.windows import cut_windows, join_windows
 from vpptwin.system.errors import InputError
@@ -34,10 +33,6 @@ FEWEST_PULSES = 5
 """Of them in a window then: a gust that stays the same throughout is no noise, but one more law."""
 SETTLE = 0.2
 """Start of a log left to the estimate of the first state [s]."""
-BLOCK = 3.0
-"""A single flight is split into blocks of at most this length [s], every third of them held out."""
-REACH = 0.5
-"""Part of the fitted span by which inputs may go further where they judge, see `hold_out_third`."""
 MIN_JUDGES = 3
 """Fewest held-out windows: with fewer a gain has no standard error, and anything may be named."""
 MIN_RATE = 20.0
@@ -73,7 +68,7 @@ def choose_window(spec: TwinSpec, measurements: Sequence[Measurements]) -> tuple
     usual = robot.window if robot.disturbance.known else find_steady(spec, measurements)
     shorter = range(max(round((usual - robot.shortest_window) / SEGMENT), 0) + 1)
     lengths = [round(usual - SEGMENT * i, 6) for i in shorter]
-    judges = (count_judges(measurements, length, length < usual) for length in lengths)
+    judges = (count_judges(measurements, length) for length in lengths)
     chosen = next((length for length, n in zip(lengths, judges) if n >= MIN_JUDGES), lengths[-1])
     if chosen == usual:
         return spec.with_robot(window=usual), measurements
@@ -97,12 +92,10 @@ def find_steady(spec: TwinSpec, measurements: Sequence[Measurements]) -> float:
     return float(round(np.clip(steady, LEAST_WINDOW, spec.robot.window), 6))
 
 
-def count_judges(measurements: Sequence[Measurements], window: float, short: bool) -> int:
-    """How many windows of a length [s] judge: those held out of a lone flight, else all of the poorest flight."""
-    starts = [cut_flight(flight, window) for flight in measurements]
-    if len(starts) > 1:
-        return min(len(s) for s in starts)
-    return int(hold_out_third(measurements[0], starts[0], window, short).sum())
+def count_judges(measurements: Sequence[Measurements], window: float) -> int:
+    """Windows of a length [s] that may be a fold: a third of a lone flight's, else all of the poorest flight."""
+    counts = [len(cut_flight(flight, window)) for flight in measurements]
+    return min(counts) if len(counts) > 1 else counts[0] // 3
 
 
 def cut_flight(flight: Measurements, window: float) -> np.ndarray:
@@ -136,41 +129,6 @@ def list_starts(measurements: Sequence[Measurements], window: float) -> list[np.
             )
         starts.append(kept)
     return starts
-
-
-def hold_out_third(flight: Measurements, starts: np.ndarray, window: float, short: bool) -> np.ndarray:
-    """Which windows of a lone flight, from `starts` (K,) [s] on, judge: every third block, (K,) bool.
-
-    Of a short flight every third window: a block at its end would show little of what decays, or else only that.
-    It is the last of three, unless inputs go further there than where they are fitted, by more than `REACH` of their
-    span there: what only judges have seen, a limit say, no fit can name. Then it is the one where they do so least.
-    """
-    since = starts - starts[:1]
-    length = window if short else min(BLOCK, (since[-1:].sum() + window) / 3.0)
-    third = (since / length + 1e-9).astype(int) % 3
-    beyond = {
-        i: reach_beyond(flight.command, starts, window, third == i)
-        for i in (2, 1, 0)
-        if np.count_nonzero(third == i) >= MIN_JUDGES
-    }
-    return np.asarray(third == (2 if beyond.get(2, 0.0) <= REACH else min(beyond, key=lambda i: beyond[i])))
-
-
-def reach_beyond(inputs: Series, starts: np.ndarray, window: float, judging: np.ndarray) -> float:
-    """How much further inputs go in windows that are `judging` (K,) than in the others, largest part of the span there.
-
-    From the first to the last percentile of their samples: a rare peak tells nothing.
-    """
-    within = np.searchsorted(starts, inputs.time, side="right") - 1
-    inside = (within >= 0) & (inputs.time < starts[within] + window)
-    judged = judging[within[inside]]
-    if not inputs.value.size or judged.all() or not judged.any():
-        return 0.0
-    value, percentiles = inputs.value[inside], [0.01, 0.99]
-    low, high = np.quantile(value[~judged], percentiles, axis=0)
-    lowest, highest = np.quantile(value[judged], percentiles, axis=0)
-    further = np.maximum(np.maximum(highest - high, low - lowest), 0.0)
-    return float(np.max(further / np.maximum(high - low, np.finfo(float).eps)))
 
 
 def thin_out(spec: TwinSpec, starts: list[np.ndarray], judging: bool = False) -> list[np.ndarray]:
