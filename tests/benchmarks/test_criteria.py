@@ -38,13 +38,13 @@ def test_changes_are_counted_on_the_same_sessions() -> None:
     """
     runs = [
         run(3, "", ""), run(7, "", "", "pitch.bias"),
-        run(3, "tolerances", "halved", "air.drag"), run(7, "tolerances", "halved", "pitch.bias"), run(0, "tolerances", "halved"),
-        run(3, "tolerances", "doubled"), run(7, "tolerances", "doubled"),
+        run(3, "even", "halved", "air.drag"), run(7, "even", "halved", "pitch.bias"), run(0, "even", "halved"),
+        run(3, "even", "doubled"), run(7, "even", "doubled"),
         run(3, "temper", "halved"), run(7, "temper", "halved", "pitch.bias", confidence=0.96),
     ]  # fmt: skip
     table = criteria.compare(runs)
-    assert criteria.tell_change(table["tolerances", "halved"]) == "1 of 2 verdicts, wrong 0 → 1, false alarm 0 → 1"
-    assert criteria.tell_change(table["tolerances", "doubled"]) == "1 of 2 verdicts, detected 1 → 0, in a group 1 → 0"
+    assert criteria.tell_change(table["even", "halved"]) == "1 of 2 verdicts, wrong 0 → 1, false alarm 0 → 1"
+    assert criteria.tell_change(table["even", "doubled"]) == "1 of 2 verdicts, detected 1 → 0, in a group 1 → 0"
     assert criteria.tell_change(table["temper", "halved"]) == "none of 2 verdicts"
     assert criteria.tell_change(table.get(("temper", "doubled"))) == "-"
 
