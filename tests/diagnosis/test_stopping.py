@@ -60,7 +60,7 @@ def test_a_signal_keeps_what_was_found(
     assert run(cart, tmp_path) == 143
     said = capfd.readouterr()
     assert "vpptwin: SIGTERM: what was found so far is kept" in said.err
-    assert "Partial, stopped by SIGTERM: Dry friction of 1.08" in " ".join(said.out.split())
+    assert "Partial, stopped by SIGTERM: Dry friction of 1.1" in " ".join(said.out.split())
     verdict = json.loads((tmp_path / "verdict.json").read_text())
     assert set(verdict) >= {"logs", "twin", "samples", "before", "after", "gap", "unexplained", "suggested_experiment"}
     (cause,) = verdict["causes"]
