@@ -57,7 +57,7 @@ def test_no_command_runs_code_that_data_names(hostile: Path, command: str, capsy
     before = sorted(path.name for path in hostile.iterdir())
     assert main(command.split()) == 2
     out, err = capsys.readouterr()
-    assert out == ""
+    assert out == "" or "--live" in command  # its page is served before the policy is read
     assert err.count("\n") == 1
     for part in ("names evil.py, Python code that would be run", "say `--effects evil.py`", "--trust"):
         assert part in err
