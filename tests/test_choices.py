@@ -166,7 +166,9 @@ def test_what_some_error_grows_with_is_suggested(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Left out of twin.yaml in the end, it takes most of the error half a second ahead: there is a twin with it."""
-    monkeypatch.setattr(judgement, "keep_better", lambda material, found: found.reduce_to(material.search.start))
+    monkeypatch.setattr(
+        judgement, "keep_better", lambda m, found: judgement.leave_out(m, found, sorted(found.fit.effects))
+    )
     given = [*map(str, sorted(folder.glob("run_*.csv"))), "--twin", str(folder / "twin.yaml"), "--out", str(tmp_path)]
     assert main(["diagnose", *given]) == 0
     told = json.loads((tmp_path / "verdict.json").read_text())

@@ -178,7 +178,8 @@ def check_score(score: dict) -> None:
 
 def check_cause(cause: dict) -> None:
     """An entry of `causes`, against the catalogue."""
-    assert set(cause) == {"effect", "confidence", "parameters", "gain", "gain_interval", "also_explained_by"}
+    known = {"effect", "confidence", "parameters", "gain", "gain_interval", "also_explained_by"}
+    assert known <= set(cause) <= known | {"kind", "kind_confidence"}
     effect = find_effect(CATALOGUE, cause["effect"])
     assert 0.0 < cause["confidence"] < 1.0
     assert cause["gain"] <= 1.0
@@ -191,7 +192,7 @@ def check_cause(cause: dict) -> None:
         assert parameter.low <= entry["value"] <= parameter.high
         check_numbers([entry["std"]], 1)
     rivals = cause["also_explained_by"]
-    assert all(set(rival) == {"effect", "confidence", "sigma"} for rival in rivals)
+    assert all({"effect", "confidence", "sigma"} <= set(rival) for rival in rivals)
     assert all(find_effect(CATALOGUE, rival["effect"]) is not effect for rival in rivals)
     assert sum(rival["confidence"] for rival in rivals) + cause["confidence"] <= 1.0
 
