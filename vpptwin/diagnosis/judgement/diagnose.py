@@ -110,9 +110,7 @@ def diagnose(
     progress = deadline.watch(progress)
     # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
     with threadpool_limits(limits=1, user_api="blas"):
-        material = prepare(
-            spec, flights, stage, progress, criteria, make_twin, causes is None, only, deadline, announce, causes
-        )
+        material = prepare(spec, flights, stage, progress, criteria, make_twin, only, deadline, announce, causes)
         spec = material.search.bench.spec
         selection = select_inferred(material.inferred, material.search)
         deadline.held = True  # what a verdict takes, and pictures of it
@@ -128,6 +126,7 @@ def diagnose(
             found = suggest(found, weak, whole.verdict.after, whole.values)
         else:
             found = recall(found, material, selection)
+            divide(material.held_out, better.inferred)
         if causes is not None:
             return replace(found, verdict=replace(found.verdict, settled=sorted(spec.settled)))
         if (blows := material.blows) is None or not blows.causes:  # other causes may have hidden them
@@ -181,10 +180,10 @@ def leave_out(material: Material, selection: Selection, effects: Sequence[str]) 
 def recall(found: Diagnosis, material: Material, whole: Selection) -> Diagnosis:
     """A diagnosis that suggests what was left out because some error grew with it, if most of another goes with it."""
     search, held_out, values, told = material.search, material.held_out, whole.fit.values, []
-    divide(held_out, material.inferred)
     gone = sorted(whole.fit.effects - {key[0] for key in found.values})
     if not gone:
         return found
+    divide(held_out, material.inferred)
     for effect in gone:
         rest = {key: value for key, value in values.items() if key[0] != effect}
         sure = min(whole.confidence(effect), search.criteria.sober)
@@ -220,18 +219,18 @@ class Material:
 
 def prepare(
     spec: TwinSpec, flights: Sequence[Flight], stage: Stage, progress: Callable[[int], None] | None,
-    criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin, contacts: bool = False, only: Collection[str] = (),
+    criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin, only: Collection[str] = (),
     deadline: Deadline | None = None, announce: Stage = lambda text: None, causes: Sequence[str] | None = None,
 ) -> Material:  # fmt: skip
-    """Cut logs into windows, choose held-out ones, and linearise the twin about the others.
+    """Read logs, cut them into windows, and compare hypotheses on these, or fit the `causes` that somebody names.
 
-    Where blows are not left out and `contacts` are looked for, the twin has what blows told of them.
+    Where causes are looked for and logs have impacts, the twin has what these told of its contacts.
     """
     spec, read = read_session(spec, flights, criteria)
     spec, measurements = choose_window(spec, read)
     spec = scale_twin(spec, measurements)
     blows = None
-    if contacts and strikes_on(spec, measurements):
+    if causes is None and strikes_on(spec, measurements):
         blows = judge_blows(spec, measurements, {}, stage, progress, criteria, make_twin, only)
         spec = spec.with_effects({**spec.effects, **blows.effects})
     unknowns = list_unknowns(spec, only)
@@ -264,9 +263,8 @@ def infer(
     if causes is None:
         for line in foresee(bench, scout, unknowns).describe():
             announce(line)
-    inferred = infer_causes(
-        bench, scout, ahead, unknowns, stage, deadline, causes
-    )  # which holds the deadline from here on
+    # From here on it holds the deadline.
+    inferred = infer_causes(bench, scout, ahead, unknowns, stage, deadline, causes)
     stage("predicting every stretch by fits to the others")
     calm = rescale(measurements, bench, inferred.scales)
     search = Search(build_bench(spec, calm, few, *given, make_twin=make_twin), unknowns)

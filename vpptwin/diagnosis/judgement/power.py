@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from vpptwin.diagnosis.judgement.verdict import Cleared, Unseen
@@ -36,6 +38,11 @@ class Shown:
         mean, precision, _ = find_mode(self.information[np.ix_([*rows, last], [*rows, last])], self.at[rows], prior)
         return rows, mean, invert(precision) if rows else np.empty((0, 0))
 
+    @cached_property
+    def _base(self) -> tuple[list[int], np.ndarray, np.ndarray]:
+        """The same of the fit itself."""
+        return self.solve(self.fit.effects)
+
     def of(self, key: Key) -> tuple[float, float]:
         """Most probable value of a parameter, its effect freed beside the fit's, and its standard deviation."""
         rows, mean, covariance = self.solve(self.fit.effects | {key[0]})
@@ -44,7 +51,7 @@ class Shown:
 
     def square_of_trial(self, number: int) -> float:
         """Square of the signal of a trial that nothing else makes up for."""
-        rows, _, covariance = self.solve(self.fit.effects)
+        rows, _, covariance = self._base
         trial = len(self.fitter.unknowns) + number
         cross = self.information[rows, trial]
         return float(self.information[trial, trial] - cross @ covariance @ cross)

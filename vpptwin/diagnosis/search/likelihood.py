@@ -74,7 +74,6 @@ class Response:
         std: of the sensors' noise and of what nothing is believed beyond, (K, M).
         freedom: measured values less fitted starting states, over all windows.
         assumed: standard deviation of a pulse per degree of freedom, (nv,) N or N m.
-        sticking: ids of the effects of dry friction in that twin.
     """
 
     state: np.ndarray
@@ -83,7 +82,6 @@ class Response:
     std: np.ndarray
     freedom: int
     assumed: np.ndarray
-    sticking: frozenset[str] = frozenset()
 
     @cached_property
     def sensors(self) -> Whitening:
@@ -250,14 +248,13 @@ def couple_gusts(bench: Bench, response: Response, gust: np.ndarray) -> Likeliho
     return Likelihood(response, gust, list(zip(stretches, factors)), sizes)
 
 
-def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: float = 1.0) -> np.ndarray:
+def tune_gust(bench: Bench, response: Response, residual: np.ndarray) -> np.ndarray:
     """Most probable strength of the gusts as a multiple of what is assumed, (nv,), windows taken one by one.
 
     Args:
         bench: K windows.
         response: what starting states and pulses do in them.
         residual: (K, M).
-        scale: variance of the whitened residual.
     """
     along, criteria = response.along(residual), bench.criteria
     alike = likeness_of_gusts(bench, middles_of_segments(bench))
@@ -273,10 +270,10 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
         covariance = np.eye(size) + blown @ np.swapaxes(response.triangles, 1, 2)
         inverse = map_rows(invert, covariance, least=least)
         white = np.einsum("kgf,kf->kg", inverse, along)
-        square = (white * along).sum(axis=1) / scale
+        square = (white * along).sum(axis=1)
         # Student's t: a window that goes astray must not make a storm.
         heavy = (criteria.tails + 1.0) * size * np.log1p(square / most)
-        weight = (criteria.tails + 1.0) * size / (most + square) / scale
+        weight = (criteria.tails + 1.0) * size / (most + square)
         pushed, shared = (np.einsum("kg,kgia->kia", white, each) for each in (pulses, spread))
         asked = np.einsum("kgia,kgia->a", (inverse @ response.triangles).reshape(pulses.shape), spread)
         slope = 2.0 * variance * (asked - np.einsum("kia,kia,k->a", pushed, shared, weight))
@@ -289,13 +286,8 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
     return np.exp(found.x)
 
 
-def measure_response(
-    bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None, pushed: bool = True
-) -> Response:
-    """Linearise the windows of a twin with the parameters `values` by starting states and, if `pushed`, force pulses.
-
-    Pulses are `gust` times as strong as assumed, (nv,): what sticks may yield to a stronger one.
-    """
+def measure_response(bench: Bench, values: Mapping[Key, float], pushed: bool = True) -> Response:
+    """Linearise the windows of a twin with parameters `values` by starting states and, if `pushed`, force pulses."""
     spec, nv = bench.spec, bench.spec.model.nv
     rotary, assumed = spec.robot.rotary, gust_std(bench)
     still = Variation(values)
@@ -312,20 +304,18 @@ def measure_response(
         sizes.append(step)
     for segment in range(bench.segments if pushed else 0):
         for dof in range(nv):
-            times = 1.0 if gust is None else float(max(gust[dof], 1.0))
-            push = segment, dof, times * float(assumed[dof])
+            push = segment, dof, float(assumed[dof])
             variations.append(still if dof in led else Variation(values, push=push))
-            sizes.append(times)
+            sizes.append(1.0)
     predicted = bench.predict(variations, values)
     slopes = bench.bound(predicted[1:] - predicted[0]) / np.array(sizes)[:, None, None]
     state, push = slopes[: 2 * nv], slopes[2 * nv :]
     prior = start_std(bench)
     freedom = int(bench.valid.sum()) - 2 * bench.windows.free_dofs * len(bench.windows)
     state, push = np.moveaxis(state, 0, -1), np.moveaxis(push, 0, -1)
-    return Response(state, prior, push, bench.std, freedom, gust_std(bench))
+    return Response(state, prior, push, bench.std, freedom, assumed)
 
 
-def build_likelihood(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Likelihood:
-    """The likelihood of a twin with the parameters `values`, under gusts `gust` times as strong as assumed, (nv,)."""
-    strength = np.ones(bench.spec.model.nv) if gust is None else gust
-    return couple_gusts(bench, measure_response(bench, values), strength)
+def build_likelihood(bench: Bench, values: Mapping[Key, float]) -> Likelihood:
+    """The likelihood of a twin with the parameters `values`, under gusts as strong as assumed."""
+    return couple_gusts(bench, measure_response(bench, values), np.ones(bench.spec.model.nv))
