@@ -122,6 +122,20 @@ def swap(group: str, *columns: str) -> Edit:
     return edit
 
 
+def swap_targets(spec: TwinSpec, flight: Flight) -> Flight:
+    """Target and position of every servo, each written as the other."""
+    for name, topic in spec.robot.signals.actuators.items():
+        joint = spec.model.joint(int(spec.model.actuator(name).trnid[0])).name
+        place = spec.robot.signals.joints[joint]
+        seen, asked = flight.joints[place][joint], flight.joints[topic][name]
+        was, wanted = (
+            np.interp(a.time, b.time, b[c]) for a, b, c in ((asked, seen, "position"), (seen, asked, "effort"))
+        )
+        flight = alter(flight, place, joint, position=lambda _, w=wanted: w)
+        flight = alter(flight, topic, name, effort=lambda _, w=was: w)
+    return flight
+
+
 def swap_slopes(spec: TwinSpec, flight: Flight) -> Flight:
     """Position and velocity of every joint, each written as the other."""
     for name, topic in spec.robot.signals.joints.items():
@@ -159,6 +173,8 @@ MISTAKES: dict[str, tuple[Edit, str]] = {
     "efforts swapped": (swap("actuators", "effort"), "to be exchanged"),
     "mN": (scale("actuators", 1e3, "effort"), "unit: mN"),
     "kgf": (scale("actuators", 1.0 / 9.80665, "effort"), "scale: 9.8|unit: kgf|scale: 9.7"),
+    "target and position swapped": (swap_targets, "to be exchanged: .* target follows"),
+    "before a gear of 50": (scale("actuators", 0.02, "effort"), "before a gear|for a gear that the MJCF lacks"),
     "targets in degrees": (scale("actuators", DEGREES, "effort"), "unit: deg"),
     "body in mm": (scale("bodies", 1e3, "position"), "unit: mm"),
     "y and z swapped": (turn_axes("position", [0, 2, 1], [1.0, 1.0, 1.0]), "position"),
@@ -171,7 +187,13 @@ SLIDE = ["mm", "joint of the other sign", "effort of the other sign", "mN", "kgf
 FAST = ["mm", "mm and mm/s", "mm/s", "velocity of the other sign", "position and velocity swapped"]
 CHAIN = ["degrees", "joint of the other sign", "joints swapped", "effort of the other sign", "efforts swapped", "mN"]
 RATED = ["degrees", "degrees and degrees/s", "degrees/s", "velocity of the other sign", "position and velocity swapped"]
-SERVO = ["joint of the other sign", "effort of the other sign", "targets in degrees", "joints swapped"]
+SERVO = [
+    "target and position swapped",
+    "joint of the other sign",
+    "effort of the other sign",
+    "targets in degrees",
+    "joints swapped",
+]
 WRONG = [
     *[("step_1", mistake) for mistake in [*FAST, *SLIDE[1:]]],
     *[("sweep_1", mistake) for mistake in SLIDE], *[("relay_1", mistake) for mistake in SLIDE],
@@ -180,13 +202,15 @@ WRONG = [
     *[("wrist_1", mistake) for mistake in [*RATED, "effort of the other sign", "mN"]],
     *[("servo", mistake) for mistake in SERVO],
     *[("quad", m) for m in ("body in mm", "y and z swapped", "z down", "x, y, z, w", "the inverse",
-                            "effort of the other sign")],
+                            "effort of the other sign", "before a gear of 50")],
+    *[(rig, "before a gear of 50")
+      for rig in ("step_1", "sweep_1", "two_zeros_1", "wrist_1", "leg", "simple", "double")],
+    *[("so101", mistake) for mistake in SERVO[:-1]],
     *[("leg", mistake) for mistake in ["effort of the other sign", *RATED, "efforts swapped", "mN"]],
     *[("simple", mistake) for mistake in RATED],
     *[("double", mistake) for mistake in [*RATED, "joints swapped", "mN"]],
     *[("antx", m) for m in ("degrees", "degrees/s", "mm", "mm/s", "velocity of the other sign",
                             "position and velocity swapped")],
-    ("so101", "targets in degrees"), ("so101", "effort of the other sign"), ("so101", "joint of the other sign"),
 ]  # fmt: skip
 """Rigs with what is wrong with their logs."""
 

@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 from rich.table import Table as RichTable
 
-from vpptwin.estimation.checks.units import judge_efforts
+from vpptwin.estimation.checks.efforts import judge_efforts
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.channels import SPATIAL
 from vpptwin.logs.formats.raw import LARGE

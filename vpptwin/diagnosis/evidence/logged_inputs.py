@@ -12,9 +12,9 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.effects import Effect
 from vpptwin.effects.actuator import GAIN
 from vpptwin.effects.joint import apply_bias
+from vpptwin.estimation.checks.efforts import refuse_efforts
 from vpptwin.estimation.checks.gate import check_columns
 from vpptwin.estimation.checks.support import refuse_held
-from vpptwin.estimation.checks.units import refuse_efforts
 from vpptwin.estimation.dynamics import REACH, measure_forces
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight

@@ -7,7 +7,7 @@ from copy import copy
 
 import numpy as np
 
-from vpptwin.estimation.checks.units import find_own_dof
+from vpptwin.estimation.checks.efforts import find_own_dof
 from vpptwin.estimation.dynamics import Forces, invert, measure_forces
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.twin.robot.manifold import chart

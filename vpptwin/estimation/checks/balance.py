@@ -72,12 +72,10 @@ def compare_forces(
         other = explain_otherwise(spec, flight, log, reading, poor)
         if other is None:
             continue
-        mended = poor & (other.tight < GOOD) & (BETTER * other.tight < given.loose) & (other.motion < MOVED)
-        mended &= other.tight < 2.0 * other.loose + SLACK
+        mended = find_mended(given, other)
         if reading.columns[0].quantity == "effort":  # efforts so small that they don't matter are no explanation
             mended &= 2.0 * other.tight < other.idle
-        worse = judged & (other.tight > np.maximum(given.loose, POOR))
-        if 2 * np.count_nonzero(mended) < np.count_nonzero(poor) or worse.any():
+        if 2 * np.count_nonzero(mended & poor) < np.count_nonzero(poor) or makes_worse(given, other, judged):
             continue
         left = float(np.minimum(other.tight, 1.0)[judged].mean())
         if best is None or left < 0.5 * best[0] - 0.005:
@@ -88,6 +86,18 @@ def compare_forces(
     most = int(np.argmax(np.where(poor, given.loose - tight, -1.0)))
     shares = f"{1.0 - tight[most]:.0%} of the force on {spec.robot.name_dof(most)}, "
     return flight, Misread(reading, f"the MJCF explains {shares}{max(1.0 - given.loose[most], 0.0):.0%} as given")
+
+
+def find_mended(given: Explained, other: Explained) -> np.ndarray:
+    """Degrees of freedom (nv,) bool that another reading explains, and far better than the given one."""
+    left = np.minimum(given.loose, given.tight)
+    good = (other.tight < GOOD) & (BETTER * other.tight < left) & (other.motion < MOVED)
+    return np.asarray(good & (other.tight < 2.0 * other.loose + SLACK))
+
+
+def makes_worse(given: Explained, other: Explained, judged: np.ndarray) -> bool:
+    """Whether another reading explains some degree of freedom of those `judged` (nv,) badly, and worse."""
+    return bool((judged & (other.tight > np.maximum(given.loose, POOR))).any())
 
 
 def explain_otherwise(
@@ -123,14 +133,17 @@ def list_judged(spec: TwinSpec) -> np.ndarray:
 
 
 def explain(
-    spec: TwinSpec, measured: Measurements, late: Sequence[float] = LATE, exact: bool = False, count: int = ROWS
-) -> Explained | None:
+    spec: TwinSpec, measured: Measurements, late: Sequence[float] = LATE, exact: bool = False, count: int = ROWS,
+    level: bool = True,
+) -> Explained | None:  # fmt: skip
     """What explains a log's motion, by least squares of every degree of freedom alone; None where it is too short.
 
     M a = -β rest + α effort + offset + viscous + Coulomb friction, where α and β may be wrong, and efforts `late` [s].
-    With `exact` α may be wrong by `EXACT` instead of `TIGHT`. It looks at `count` instants.
+    With `exact` α may be wrong by `EXACT` instead of `TIGHT`. It looks at `count` instants. Without `level` there is no
+    offset, and β is within `EXACT`.
     """
-    found, bounds = [], ((LOOSE, LOOSE), (TIGHT, EXACT if exact else TIGHT), (TIGHT, (0.0, 0.0)))
+    weight = TIGHT if level else EXACT
+    found, bounds = [], ((LOOSE, LOOSE), (weight, EXACT if exact else TIGHT), (weight, (0.0, 0.0)))
     for delay in late:
         rows = measure_log(spec, measured, 0, count, delay)
         velocity, inertial, actuator, missing = (rows[i] for i in (3, 5, 6, 7))
@@ -142,7 +155,7 @@ def explain(
             size, speed = float(sizes[0][dof]), max(float(velocity[:, dof].std()), 1e-9)
             rate = velocity[:, dof] / speed
             used = choose_moving(rate)
-            beside = np.column_stack([np.ones(len(rate)), rate, np.tanh(rate / SMOOTH)])[used]
+            beside = np.column_stack([*[np.ones(len(rate))] * level, rate, np.tanh(rate / SMOOTH)])[used]
             bounded = (np.column_stack([-rest[:, dof], actuator[:, dof]]) / size)[used]
             for i, within in enumerate(bounds):
                 (weight, _), square = fit_bounded(bounded, beside, inertial[used, dof] / size, within)

@@ -1,9 +1,9 @@
 """Before a twin stands beside a log: does another unit, sign or order of its columns explain the motion far better?
 
-Four tests. A joint's velocity is the slope of its position. A joint that a servo drives follows its target. A joint
-that a force drives moves as the MJCF's inertia, weight and friction ask for. Parts of the MJCF touch at most. Columns
-are refused where they contradict that as they are read, whatever gain or load would be wrong within reason, and where
-one other reading agrees with it. What is merely explained badly is left for the diagnosis.
+Five tests. A joint's velocity is the slope of its position. A joint that a servo drives follows its target. A joint
+that a force drives moves as the MJCF's inertia, weight and friction ask for. Weight pulls down. Parts of the MJCF touch
+at most. Columns are refused where they contradict that as they are read, whatever gain or load would be wrong within
+reason, and where one other reading agrees with it. What is merely explained badly is left for the diagnosis.
 """
 
 from __future__ import annotations
@@ -12,14 +12,19 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from vpptwin.estimation.checks.balance import compare_forces
+from vpptwin.estimation.checks.efforts import judge_efforts, list_scales
 from vpptwin.estimation.checks.model import refuse_beyond, refuse_overlap
 from vpptwin.estimation.checks.readings import Misread, compose_entry, locate_line, name_columns
 from vpptwin.estimation.checks.slopes import compare_ranges, compare_slopes, compare_targets
+from vpptwin.estimation.checks.weight import compare_weight
 from vpptwin.estimation.series import Measurements
 from vpptwin.logs.flight import Flight
 from vpptwin.system.doubt import object_to
 from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import TwinSpec
+
+GEARED = 200.0
+"""Largest ratio of a gear that an MJCF may lack."""
 
 
 def check_columns(spec: TwinSpec, flights: Sequence[Flight], measurements: Sequence[Measurements]) -> None:
@@ -43,7 +48,15 @@ def check_columns(spec: TwinSpec, flights: Sequence[Flight], measurements: Seque
                 break
     flight, misread = compare_forces(spec, flights, measurements)
     if misread is not None:
-        object_to(compose_error(spec, flight, misread))
+        error = compose_error(spec, flight, misread)
+        moved = any(column.quantity != "effort" for column in misread.reading.columns)
+        far = judge_efforts(spec, measurements) if moved else []
+        if far and all(1.0 < each.factor < GEARED for each in far):  # too much motion, or too little force
+            other = f"if that is right already, give {list_scales(far)}, as for a gear that the MJCF lacks"
+            error = InputError(error.found, error.expected, f"{error.action}; {other}")
+        object_to(error)
+    elif (wrong := compare_weight(spec, flights, measurements)) is not None:
+        object_to(wrong)
     refuse_beyond(spec, measurements)
     refuse_overlap(spec, measurements)
 

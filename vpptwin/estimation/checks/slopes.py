@@ -42,6 +42,9 @@ SERVED = (0.33, 3.0)
 """How many times its target a joint goes at most and at least, whatever its servo is."""
 LAGS = np.arange(0.0, 0.31, 0.02)
 """By how much a joint may follow its target late [s]."""
+LEADS = 0.5
+"""Share of what is unexplained where a target follows its joint, of that where the joint follows it: the two are
+exchanged. No measured servo comes below 0.9."""
 FARTHEST = 2.0
 """Times the range of its joint, and a turn, from which on no position travels."""
 
@@ -143,6 +146,11 @@ def compare_targets(spec: TwinSpec, flight: Flight) -> Iterator[Misread]:
             servos[name] = model.actuator_gear[index, 0], kin[driven][0], column, kin[driven][1][0]
     for gear, rotary, column, position in servos.values():
         factor, alike = follow_target(spec, flight, column, position)
+        _, before = follow_target(spec, flight, column, position, -LAGS[1:])
+        if before > FOLLOWS and 1.0 - before < LEADS * (1.0 - alike):
+            why = f"{column.name}'s target follows {position.name} (R² {before:.3f}; as given {alike:.3f})"
+            yield Misread(Reading("exchanged", "a joint that follows its target", exchange(position, column)), why)
+            continue
         if alike < FOLLOWS:
             continue
         factor *= gear
@@ -172,20 +180,25 @@ def compare_swapped_targets(
             yield Misread(Reading("exchanged", "each joint's own target", exchange(servos[i][0], servos[j][0])), why)
 
 
-def follow_target(spec: TwinSpec, flight: Flight, column: Column, position: Column) -> tuple[float, float]:
-    """How many times its target a joint goes, at the lag at which it does best, and R² of that."""
+def follow_target(
+    spec: TwinSpec, flight: Flight, column: Column, position: Column, lags: np.ndarray = LAGS
+) -> tuple[float, float]:
+    """How many times its target a joint goes, at the lag at which it does best, and R² of that.
+
+    Half a wave late a joint that turns to and fro goes the other way: that counts only where it does far better so.
+    """
     target, seen = (find_stream(spec.robot.signals, flight, each) for each in (column, position))
     assert target is not None
     assert seen is not None
-    asked, was, best = target[column.quantity], seen["position"], (1.0, 0.0)
-    for lag in LAGS:
+    asked, was, best = target[column.quantity], seen["position"], {1.0: (1.0, 0.0), -1.0: (1.0, 0.0)}
+    for lag in lags:
         held = np.interp(seen.time - lag, target.time, asked)
         spread = float(held.std()) * float(was.std())
         if spread > 0.0:
             likeness = float(np.corrcoef(held, was)[0, 1])
-            if likeness**2 > best[1]:
-                best = float(likeness * was.std() / held.std()), likeness**2
-    return best
+            if likeness**2 > best[sense := float(np.sign(likeness) or 1.0)][1]:
+                best[sense] = float(likeness * was.std() / held.std()), likeness**2
+    return best[-1.0] if best[-1.0][1] > best[1.0][1] + FARTHER else best[1.0]
 
 
 def measure_reach(spec: TwinSpec, flight: Flight, name: str) -> float:
