@@ -17,14 +17,14 @@ FOLDER = ROOT / "docs/tutorials"
 PROMISED = {
     "own_rig": ["wrote cart.yaml", "± 0.03 N on joint slide takes the error half a second ahead", "whole-log chi²"],
     "quadrotor": ["Correcting a wrong gain of actuator m2 (0.85", "whole-log chi² 300 of quadrotor.yaml, 0.978 of"],
-    "arm": ["wrote arm.yaml", "A payload of 63 ± 2 g on forearm", "whole-log chi² 292 of arm.yaml, 1.18 of"],
-    "so101": ["Viscous friction of 0.60 ± 0.08 N m s/rad on joint Rotation", "ahead from 20.5 to 9.44 mrad",
-        "│ 7.93 → 5.79", "│ 23.6 → 10.6", "│ 18.3 → 9.65", "motion.html"],
-    "leg": ["Dry friction of 99 ± 5 mN m on joint knee", "whole-log chi² 351,000 of leg.yaml, 36.4 of"],
+    "arm": ["wrote arm.yaml", "A payload of 61 ± 2 g on forearm", "whole-log chi² 292 of arm.yaml, 0.87 of"],
+    "so101": ["Viscous friction of 0.5 ± 0.2 N m s/rad on joint Rotation", "ahead from 20.5 to 12.6 mrad",
+        "│ 7.93 → 5.88", "│ 23.6 → 12.7", "│ 18.3 → 11.7", "motion.html"],
+    "leg": ["Dry friction of 0.100 ± 0.005 N m on joint knee", "whole-log chi² 351,000 of leg.yaml, 39.8 of"],
     "retrain": ["ms from command to servo", "20 flights of flip"],
     "write_effect": ["no known effect explains", "It follows rail_x position",
         "A belt that cogs on the horizontal rail"],
-    "close_the_loop": ["wrong thrust constant", "rotors of unequal thrust", "20 flights of flip", "whole-log chi²"],
+    "close_the_loop": ["wrong thrust constant", "otors of unequal thrust", "20 flights of flip", "whole-log chi²"],
 }  # fmt: skip
 """Words of what the commands of a page print."""
 SHORTER = {

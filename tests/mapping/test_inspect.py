@@ -86,7 +86,7 @@ def test_no_network_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
         raise mujoco_menagerie.DownloadError("no route")
 
     monkeypatch.setattr(mujoco_menagerie.Robot, "xml", fail)
-    with pytest.raises(InputError, match=r"cannot be had \(no route\); expected a download, once"):
+    with pytest.raises(InputError, match=r"could not be downloaded \(no route\); expected a download, once"):
         find_model("ur10e")
 
 

@@ -187,7 +187,7 @@ def describe_signal(signal: Signal) -> tuple[str, ...]:
 def print_guesses(guesses: Sequence[Guess]) -> None:
     """One row for each joint, actuator, body and IMU."""
     table = RichTable(title="what they may be", title_justify="left")
-    for head in ("of the model", "in the log", "how sure", "why"):
+    for head in ("of the model", "in the log", "confidence", "why"):
         table.add_column(head, overflow="fold")
     for guess in guesses:
         titles = {quantity: signal.title for quantity, signal in guess.fields.items()} | {
@@ -215,7 +215,7 @@ def ask(guesses: Sequence[Guess], yes: bool = False) -> list[Guess]:
 def compose_twin(model: Path, target: Path, log: str, guesses: Sequence[Guess]) -> str:
     """A twin YAML with a comment at each guess; what is unknown is commented out."""
     relative = os.path.relpath(model.resolve(), target.parent.resolve())
-    lines = [f"# Written by vpptwin inspect from {one_line(log)}; lines with DOUBT want a look.",
+    lines = [f"# Written by vpptwin inspect from {one_line(log)}; check the lines with DOUBT.",
              f"model: {yaml.safe_dump(relative).splitlines()[0]}"]  # fmt: skip
     lines += ["signals:"] * bool(guesses)
     for group in WHAT:

@@ -40,7 +40,7 @@ def find_model(name: str) -> Path:
     try:
         return Path(robot.xml(entry))
     except (menagerie.MenagerieError, OSError) as error:
-        found = f"model {name!r} of the menagerie cannot be had ({error})"
+        found = f"model {name!r} of the menagerie could not be downloaded ({error})"
         raise InputError(found, "a download, once", "go online, or give the path of an MJCF") from None
 
 
@@ -58,5 +58,5 @@ def describe_robot(name: str) -> Path:
             f"robot_descriptions has no MJCF {name!r}", "such as ur10e_mj_description", "correct it"
         ) from None
     except Exception as error:  # git's, while it is cloned
-        found = f"model {name!r} of robot_descriptions cannot be had ({error})"
+        found = f"model {name!r} of robot_descriptions could not be downloaded ({error})"
         raise InputError(found, "a download, once", "go online, or give the path of an MJCF") from None

@@ -29,7 +29,14 @@ from vpptwin.system.progress import open_bar
 from vpptwin.system.terminal import open_console, print_dropped, print_warnings
 from vpptwin.twin.spec import TwinSpec
 
-CHI2 = "whole-log chi² {} (1 = noise floor; that of `diagnose` is of held-out windows only)"
+CHI2 = "whole-log chi² {} ({})"
+FLOOR = "1 = noise floor; that of `diagnose` is of held-out windows only"
+GUESSED = "the noise is assumed: compare twins with each other, not with 1 or with `diagnose`, which estimates it"
+
+
+def tell_floor(noise: NoiseFloor) -> str:
+    """What a chi² may be compared with."""
+    return FLOOR if noise.label == "sensor noise" else GUESSED
 
 
 @dataclass(frozen=True)
@@ -94,7 +101,7 @@ class Comparison:
             parts.append(f"<table><caption>{title}</caption><tr><th>horizon</th>{heads}</tr>{lines}</table>")
         told = "; ".join(f"{html.escape(one.twin)}: chi² {one.score.chi2:.3g}" for one in self.twins)
         notes = "".join(f"<p>warning: {html.escape(warning)}</p>" for warning in self.warnings)
-        return f"{''.join(parts)}<p>{told} (1 = noise floor)</p>{notes}"
+        return f"{''.join(parts)}<p>{told} ({tell_floor(self.twins[0].noise)})</p>{notes}"
 
     @property
     def warnings(self) -> list[str]:
@@ -175,7 +182,7 @@ def compare_logs(
         else:
             print_errors(console, f"prediction error of twin {first.twin}", first.tabulate())
             chi2 = format_digits(first.score.chi2)
-        console.print(CHI2.format(chi2))
+        console.print(CHI2.format(chi2, tell_floor(first.noise)))
     if json is not None:
         give_json(comparison.as_dict(), json)
     return comparison

@@ -400,7 +400,7 @@ def collect_result(
     extended = spec.with_effects(extend_effects(spec, diagnosis.values))
     suggested = spec.with_effects(extend_effects(spec, diagnosis.suggested)) if diagnosis.suggested else None
     twins = [spec, extended] if verdict.named else [spec]
-    noise = find_noise_floor(diagnosis.measurements)
+    noise = find_noise_floor(diagnosis.measurements, "estimated noise")
     return Result(
         verdict, extended, suggested, summarise(verdict, noise, meanings), [], spec,
         [flight.path for flight in flights],

@@ -20,16 +20,16 @@ class NoiseFloor:
 
     rmse: dict[str, float]  # key of a score (velocities by name) → error, in SI units
     units: dict[str, str]  # name of a velocity → its unit
-    known: bool = True  # the sensors are known; else noise is a cautious guess, which a good twin may well go below
-
-    @property
-    def label(self) -> str:
-        """What to call it."""
-        return "sensor noise" if self.known else "assumed noise"
+    label: str = "sensor noise"  # else "assumed", a cautious guess that a good twin may well go below, or "estimated"
 
 
-def find_noise_floor(flights: Sequence[Measurements]) -> NoiseFloor:
-    """Errors that sensor noise alone makes, root mean square over flights; slides and hinges summed as in a score."""
+def find_noise_floor(flights: Sequence[Measurements], guess: str = "assumed noise") -> NoiseFloor:
+    """Errors that sensor noise alone makes, root mean square over flights; slides and hinges summed as in a score.
+
+    Args:
+        flights: what was measured.
+        guess: what the noise of unknown sensors is called.
+    """
     squares: dict[str, list[float]] = {}
     units: dict[str, str] = {}
     for flight in flights:
@@ -42,7 +42,11 @@ def find_noise_floor(flights: Sequence[Measurements]) -> NoiseFloor:
         for key, square in own.items():
             squares.setdefault(key, []).append(square)
     known = all(series.white for flight in flights for series in flight.positions.values())
-    return NoiseFloor({key: float(np.sqrt(np.mean(parts))) for key, parts in squares.items()}, units, known)
+    return NoiseFloor(
+        {key: float(np.sqrt(np.mean(parts))) for key, parts in squares.items()},
+        units,
+        "sensor noise" if known else guess,
+    )
 
 
 def variance_of_bin(series: Series) -> float:

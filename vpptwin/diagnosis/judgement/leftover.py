@@ -174,7 +174,7 @@ def lay_out(parts: Sequence[Part], values: Mapping[Key, float]) -> Missing:
     quantities = {label: np.concatenate([each[label].ravel() for each in listed]) for label in listed[0]}
     for label in [label for label in quantities if " position [" in label]:
         way = leave_behind(quantities[label], time, flight, parts[0].bench.spec.robot.disturbance.memory)
-        quantities[label.replace("position", "way from where it was")] = way
+        quantities[label.replace("position", "displacement within a window")] = way
     felt = [part.felt for part in parts if part.felt is not None]
     return Missing(
         join([part.missing_force() for part in parts]), time, flight, quantities, join(felt) if felt else None

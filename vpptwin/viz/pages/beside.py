@@ -33,10 +33,11 @@ def draw_beside(flight: Flight, shown: Sequence[tuple[str, Prediction, TwinSpec]
         for show, text in zip(shows, texts, strict=True)
     ]
     every = [np.diff(prediction.restarts) for _, prediction, _ in shown if len(prediction.restarts) > 1]
-    reset = f"reset to the log every {np.median(every[0]):.3g} s" if every else "running freely"
+    reset = f"is reset to the log every {np.median(every[0]):.3g} s" if every else "runs freely"
     return TEMPLATES.get_template("beside.html").render(
         title=flight.name, names=[name for name, *_ in shown], rows=list_rows(shown[0][2], shows), pages=pages,
-        note=f"Solid is the log, translucent the twin under the log's commands, {reset}. Of the whole log.",
+        note=f"The log is solid. The twin under the log's commands is translucent, and {reset}. "
+        "The distances are of the whole log.",
         duration=texts[0].duration, start=texts[0].start, views=list(texts[0].views), place=PLACE, late=LATE,
         viewer=VIEWER.read_text(encoding="utf-8"),
     )  # fmt: skip
