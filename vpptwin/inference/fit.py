@@ -272,10 +272,15 @@ class Fitter:
             path = np.zeros((len(nuisance.gram), nuisance.columns.shape[2]))
         settled, shortest = (SETTLED, SHORTEST) if path is None else (ROUGH, SHORT)
         best, stride, ahead, taken = None, 1.0, np.empty(0), 0
+        rough = path is not None and any(u.fine == 1.0 for u in unknowns)
+        anew = rough and beside is not None
         while taken < (steps if unknowns or path is not None else 1):  # a stride that is too long is no step
             if path is not None:
                 before = path if best is None or best.path is None else best.path
-                path = smooth(simulator, values, [path, before], nuisance, scales)
+                begun = [path, before]
+                if anew:  # what sticks has several likely paths: pulses make up for friction that was not there
+                    begun.append(smooth(simulator, values, [np.zeros_like(path)], simulator.respond(values), scales))
+                path = smooth(simulator, values, begun, nuisance, scales)
             known = nuisance if lent else simulator.respond(values, path)
             fit, there = self._look(values, effects, known, path, scales, prior)
             gain = np.inf if best is None else fit.evidence - best.evidence
@@ -284,8 +289,9 @@ class Fitter:
                 taken += 1
                 if lent and taken == steps and fit.hope - fit.evidence > ROUGH:
                     lent, taken = False, taken - 1  # it responds otherwise than what it is beside
-                elif gain < settled:
+                elif gain < settled and (anew or not rough):
                     break
+                anew = rough and gain < settled
             else:
                 stride *= 0.4
                 if stride < shortest:
