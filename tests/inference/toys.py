@@ -29,7 +29,6 @@ class Toy:
     columns: Sequence[slice]
     process: np.ndarray  # (G,)
     scale_prior: ScalePrior
-    followed: frozenset[str] = frozenset()
 
     def residuals(self, points: Sequence[Point], about: Point, path: np.ndarray | None = None) -> np.ndarray:
         """Measured less simulated, (V, K, M)."""
@@ -37,10 +36,6 @@ class Toy:
         if path is not None:
             moved = np.einsum("kmn,kn->km", np.concatenate([self.states, self.pushes], axis=2), path)
         return self.measured - moved - np.stack([self.law(point) for point in points])
-
-    def follows(self, effects: frozenset[str]) -> bool:
-        """Whether `followed` is among the effects."""
-        return bool(self.followed & effects)
 
     def respond(self, point: Point, path: np.ndarray | None = None) -> Nuisance:
         """The same columns everywhere."""

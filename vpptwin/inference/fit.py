@@ -15,20 +15,18 @@ from vpptwin.inference.path import foretell, smooth, strain
 Key = tuple[str, str]
 """Effect id and parameter name."""
 Point = Mapping[Key, float]
-STEPS, SHORTEST = 15, 0.1
-"""Steps of Gauss-Newton at most, and the shortest stride."""
+STEPS = 15
+"""Steps of Gauss-Newton at most."""
 WIDEST = 3.0
 """Tolerances by which what is not suspected may be off."""
 NOTICED, MOST_LOOSE = 0.5, 24
 """Square of the signal to noise from which a tolerance is noticed, and tolerances at most."""
 AFFORDABLE = 400_000
 """Values up to which trials are simulated anew beside every fit; beyond, they are as beside nothing."""
-SETTLED = 0.15
-"""Gain of log evidence under which a fit has settled."""
 BRIEF = 2
 """Steps of a first, brief fit."""
-ROUGH, SHORT = 2.0, 0.3
-"""Where a path is followed: gain under which a fit has settled, and the shortest stride; what sticks makes it rough."""
+SETTLED, SHORTEST = 2.0, 0.1
+"""Gain of log evidence under which a fit has settled, and the shortest stride; what sticks makes both rough."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +70,6 @@ class Simulator(Protocol):
     def respond(self, point: Point, path: np.ndarray | None = None) -> Nuisance:
         """What starting states and force pulses do about a point, and a path, in units of their priors."""
 
-    def follows(self, effects: frozenset[str]) -> bool:
-        """Whether a hypothesis is simulated about its likeliest path."""
-
 
 @dataclass(frozen=True)
 class Trial:
@@ -101,7 +96,7 @@ class Fit:
         posterior: of those, in the order of `values`, and then of what is within its tolerance.
         windows: compressed about `values`.
         prior: of the parameters.
-        path: about which all was simulated, (K, N); None for none.
+        path: about which all was simulated, (K, N).
         hope: log marginal likelihood where the linear model about `values` has its optimum, paths and all.
     """
 
@@ -110,8 +105,8 @@ class Fit:
     posterior: Posterior
     windows: Windows
     prior: Prior
-    path: np.ndarray | None = None
-    hope: float = -np.inf
+    path: np.ndarray
+    hope: float
 
     @property
     def evidence(self) -> float:
@@ -153,9 +148,7 @@ class Fitter:
         """Whether an effect stays so near to nothing that it would be no finding."""
         return all(abs(fit.values[u.key] - u.mean) <= u.slight for u in self.of(frozenset({effect})))
 
-    def linearise(
-        self, values: Point, unknowns: Sequence[Unknown], nuisance: Nuisance, path: np.ndarray | None = None
-    ) -> Windows:
+    def linearise(self, values: Point, unknowns: Sequence[Unknown], nuisance: Nuisance, path: np.ndarray) -> Windows:
         """Windows about a point: derivatives by some parameters, and those of what is within its tolerance."""
         residual, slopes, at = differentiate(self.simulator, values, unknowns, path)
         loose = self.loose({u.key[0] for u in unknowns})
@@ -222,14 +215,13 @@ class Fitter:
     def screen(self, fit: Fit) -> list[np.ndarray]:
         """Inner products of parameters, trials and what a fit misses, (P + T + 1, P + T + 1), under its noise.
 
-        Along a path those under a process noise as calm as its prior expects, too: pulses take all that a missing cause
-        does, and with as strong ones as that needs no slope leads to it.
+        Those under a process noise as calm as its prior expects, too: pulses take all that a missing cause does, and
+        with as strong ones as that needs no slope leads to it.
         """
-        scales, values, nuisance, path = fit.posterior.scales, fit.values, self.scout.respond(fit.values), None
-        if fit.path is not None:
-            path = smooth(self.scout, values, [np.zeros((len(nuisance.gram), fit.path.shape[1]))], nuisance, scales)
-            nuisance = self.scout.respond(values, path)
-            path = smooth(self.scout, values, [path], nuisance, scales)
+        scales, values, nuisance = fit.posterior.scales, fit.values, self.scout.respond(fit.values)
+        path = smooth(self.scout, values, [np.zeros((len(nuisance.gram), fit.path.shape[1]))], nuisance, scales)
+        nuisance = self.scout.respond(values, path)
+        path = smooth(self.scout, values, [path], nuisance, scales)
         residual, slopes, _ = differentiate(self.scout, values, self.unknowns, path)
         changed = self.nominal[1]
         if values and len(self.trials) * residual.size < AFFORDABLE:
@@ -238,10 +230,9 @@ class Fitter:
             changed = residuals[0] - residuals[1:]
         every, residual = np.concatenate([slopes, changed]), nuisance.restore(residual, path)
         windows = nuisance.merge(scales).compress(every, residual, np.zeros(len(every)))
-        strengths = [scales.process]
-        if path is not None:
-            strengths.append(np.minimum(scales.process, np.log(self.simulator.scale_prior.process_median)))
-        return [self._share * windows.eliminate(Scales(np.zeros(1), each)).information for each in strengths]
+        calm = np.minimum(scales.process, np.log(self.simulator.scale_prior.process_median))
+        strengths = [Scales(np.zeros(1), each) for each in (scales.process, calm)]
+        return [self._share * windows.eliminate(each).information for each in strengths]
 
     def fit(
         self, effects: frozenset[str], start: Point, scales: Scales | None = None, steps: int = STEPS,
@@ -254,62 +245,56 @@ class Fitter:
             start: where their parameters begin.
             scales: where those of the noises do.
             steps: of Gauss-Newton.
-            beside: a fit whose path serves to begin with, if one is followed, and in a brief fit its responses.
+            beside: a fit whose path serves to begin with, and in a brief fit its responses.
         """
         unknowns, simulator = self.of(effects), self.simulator
         prior = self.prior_of(unknowns)
         values = {u.key: float(start.get(u.key, u.mean)) for u in unknowns}
         scales = scales or simulator.scale_prior.start
-        follows = simulator.follows(effects)
-        path, led = (beside.path, beside.values) if beside and follows else (None, values)
+        path, led = (beside.path, beside.values) if beside else (None, values)
         told = None if path is None else (path.tobytes(), frozenset(led.items()))
         key = effects, frozenset(values.items()), steps, scales.sensor.tobytes(), scales.process.tobytes(), told
         if key in self._fits:
             return self._fits[key]
         lent = steps <= BRIEF and path is not None
-        nuisance = simulator.respond(values if path is None else led, path)
-        if follows and path is None:
+        nuisance = simulator.respond(led, path)
+        if path is None:
             path = np.zeros((len(nuisance.gram), nuisance.columns.shape[2]))
-        settled, shortest = (SETTLED, SHORTEST) if path is None else (ROUGH, SHORT)
         best, stride, ahead, taken = None, 1.0, np.empty(0), 0
-        rough = path is not None and any(u.fine == 1.0 for u in unknowns)
+        rough = any(u.fine == 1.0 for u in unknowns)
         anew = rough and beside is not None
-        while taken < (steps if unknowns or path is not None else 1):  # a stride that is too long is no step
-            if path is not None:
-                before = path if best is None or best.path is None else best.path
-                begun = [path, before]
-                if anew:  # what sticks has several likely paths: pulses make up for friction that was not there
-                    begun.append(smooth(simulator, values, [np.zeros_like(path)], simulator.respond(values), scales))
-                path = smooth(simulator, values, begun, nuisance, scales)
+        while taken < steps:  # a stride that is too long is no step
+            begun = [path] if best is None else [path, best.path]
+            if anew:  # what sticks has several likely paths: pulses make up for friction that was not there
+                begun.append(smooth(simulator, values, [np.zeros_like(path)], simulator.respond(values), scales))
+            path = smooth(simulator, values, begun, nuisance, scales)
             known = nuisance if lent else simulator.respond(values, path)
             fit, there = self._look(values, effects, known, path, scales, prior)
             gain = np.inf if best is None else fit.evidence - best.evidence
             if gain > 0.0:
                 best, ahead, stride, scales, nuisance = fit, there.mean, min(1.0, 2.0 * stride), there.scales, known
                 taken += 1
-                if lent and taken == steps and fit.hope - fit.evidence > ROUGH:
+                if lent and taken == steps and fit.hope - fit.evidence > SETTLED:
                     lent, taken = False, taken - 1  # it responds otherwise than what it is beside
-                elif gain < settled and (anew or not rough):
+                elif gain < SETTLED and (anew or not rough):
                     break
-                anew = rough and gain < settled
+                anew = rough and gain < SETTLED
             else:
                 stride *= 0.4
-                if stride < shortest:
+                if stride < SHORTEST:
                     break
             assert best is not None
             at = best.windows.at + stride * (ahead - best.windows.at)
             at[len(unknowns) :] = best.windows.at[len(unknowns) :]
             moved = np.clip(at, prior.low, prior.high)
-            if path is None and np.allclose(moved, fit.windows.at, rtol=1e-9, atol=0.0):
-                break
             values = {u.key: float(v) for u, v in zip(unknowns, moved)}
-            path = None if path is None else foretell(best.windows, moved, scales)
+            path = foretell(best.windows, moved, scales)
         assert best is not None
         self._fits[key] = best
         return best
 
     def _look(
-        self, values: dict[Key, float], effects: frozenset[str], nuisance: Nuisance, path: np.ndarray | None,
+        self, values: dict[Key, float], effects: frozenset[str], nuisance: Nuisance, path: np.ndarray,
         scales: Scales, prior: Prior,
     ) -> tuple[Fit, Posterior]:  # fmt: skip
         """A hypothesis at given parameters, and the posterior of these by its linear model."""
@@ -317,8 +302,8 @@ class Fitter:
         windows = self.linearise(values, unknowns, nuisance, path)
         here = infer(windows, prior, scale_prior, scales, np.arange(len(windows.at)) < len(unknowns))
         there = infer(windows, prior, scale_prior, here.scales) if unknowns else here
-        astray = 0.0 if path is None else strain(windows, path, here.scales)
-        penalised = Posterior(here.mean, there.precision, here.deviance + astray, there.penalty, here.scales)
+        cost = here.deviance + strain(windows, path, here.scales)
+        penalised = Posterior(here.mean, there.precision, cost, there.penalty, here.scales)
         hope = -0.5 * (there.deviance + there.penalty)
         return Fit(effects, values, penalised, windows, prior, path, hope), there
 

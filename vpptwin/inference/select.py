@@ -157,7 +157,7 @@ class Searcher:
             self.told(effects | {effect})
             fits = [self.fitter.fit(effects | {effect}, start, scales, BRIEF, fit) for start in starts]
             best = max(fits, key=lambda each: each.evidence)
-            if best.path is None or not self.fitter.is_slight(best, effect):
+            if not self.fitter.is_slight(best, effect):
                 brief.append(best)
         for each in brief:
             self.comparison.add(each)
@@ -167,8 +167,8 @@ class Searcher:
             hope = max(each.hope - each.evidence, 0.0) / self.comparison.divisor
             if weight + hope > least:
                 found = self.try_set(each.effects, each.values, each.posterior.scales, each)
-                if found.path is not None and self.comparison.best is found:
-                    self.lessen(found, effects)  # where a path is followed both must be as likely as can be
+                if self.comparison.best is found:
+                    self.lessen(found, effects)  # both along paths as likely as can be
 
     def lessen(self, fit: Fit, rest: frozenset[str]) -> None:
         """Fit some effects of a set, from where all of them are."""

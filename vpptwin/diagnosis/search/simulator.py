@@ -78,10 +78,6 @@ class BenchSimulator:
             keep_last(self._responses, key, found, KEPT)
         return self._responses[key]
 
-    def follows(self, effects: frozenset[str]) -> bool:
-        """Always: about the likeliest path forces that are missed are nearly linear, and what sticks slips in time."""
-        return True
-
     @cached_property
     def _root(self) -> np.ndarray:
         """Factors of the correlation of every window's pulses, (K, segments, segments)."""
