@@ -194,15 +194,16 @@ def describe_gain(
 
 
 def find_changes(tables: Sequence[ErrorTable]) -> tuple[int, list[ErrorTable]] | None:
-    """The horizon that a headline tells, and what changes there: `SHOWN`, or where a pose or else a rate changes most.
+    """The horizon that a headline tells, and what changes there: `SHOWN`, or where a pose or else a rate falls most.
 
-    None where nothing changes.
+    Where none falls, the one that grows most; None where nothing changes.
     """
-    for some in ([t for t in tables if t.pose], [t for t in tables if not t.pose]):
-        far = {at: max((abs(1.0 - t.share(at)) for t in some), default=0.0) for at in range(len(HORIZONS_S))}
-        for at in (SHOWN, max(far, key=far.__getitem__)):
-            if far[at] > CHANGED:
-                return at, [t for t in some if abs(1.0 - t.share(at)) > CHANGED]
+    for sign in (1.0, -1.0):
+        for some in ([t for t in tables if t.pose], [t for t in tables if not t.pose]):
+            far = {at: max((sign * (1.0 - t.share(at)) for t in some), default=0.0) for at in range(len(HORIZONS_S))}
+            for at in (SHOWN, max(far, key=far.__getitem__)):
+                if far[at] > CHANGED:
+                    return at, [t for t in some if abs(1.0 - t.share(at)) > CHANGED]
     return None
 
 

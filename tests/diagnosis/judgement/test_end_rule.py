@@ -46,7 +46,7 @@ Values = Mapping[tuple[str, str], float]
 class Given(PredictionErrors):
     """Squared errors over the horizon that are given, (blocks, horizons): of the twin as it was, and extended."""
 
-    _noise = {"rad": np.ones(len(HORIZONS_S))}  # noqa: RUF012 (a property there)
+    noise = {"rad": np.ones(len(HORIZONS_S))}  # noqa: RUF012 (a property there)
 
     def __init__(self, before: np.ndarray, after: np.ndarray) -> None:
         super().__init__(lay_bench([3.0 * i for i in range(len(before))]))

@@ -64,6 +64,8 @@ def test_errors_by_hand() -> None:
 class Given(PredictionErrors):
     """Errors that are given: parameter value → squares of (K,) windows."""
 
+    noise = {"m": np.zeros(len(HORIZONS_S))}  # noqa: RUF012 (a property there)
+
     def __init__(self, bench: Bench, squares: dict[float, np.ndarray]) -> None:
         super().__init__(bench)
         self._given = squares
@@ -119,7 +121,7 @@ def test_intervals_of_the_change_bracket_it() -> None:
         rng = np.random.default_rng(seed)
         errors = [np.repeat(rng.standard_normal(40), 3) + 0.5 * rng.standard_normal(120) for _ in range(2)]
         squares = {0.0: errors[0] ** 2, 1.0: (0.5 * errors[1]) ** 2}
-        change = Given(lay_bench(start), squares).change({"size": 0.0}, {"size": 1.0})
+        change = Given(lay_bench(start), squares).compare({"size": 0.0}, {"size": 1.0}).change
         assert list(change) == ["position_rmse_m"]
         assert len(change["position_rmse_m"]) == len(HORIZONS_S)
         low, high = change["position_rmse_m"][2]
@@ -142,9 +144,9 @@ def test_a_twin_that_diverges_is_no_better(rubbing: HeldOut, monkeypatch: pytest
         return np.full_like(predict(variations, sensors_of), np.nan)
 
     judges = HeldOut(rubbing.short, rubbing.errors.bench)
-    assert not judges.errors.grow({}, TRUTH)
+    assert not judges.errors.compare({}, TRUTH).grows
     monkeypatch.setattr(judges.errors.bench, "predict", diverge)
-    assert judges.errors.grow(TRUTH, DOUBLE)
+    assert judges.errors.compare(TRUTH, DOUBLE).grows
     assert all(np.isfinite(errors[:, :2]).all() for errors in judges.errors.by_channel(DOUBLE).values())
 
 
@@ -157,7 +159,7 @@ def test_truth_predicts_better(rubbing: HeldOut) -> None:
     assert truth.angle_rmse_rad is None
     for before, after in zip(nothing.position_rmse_m[1:], truth.position_rmse_m[1:]):
         assert after < before
-    for low, high in rubbing.errors.change({}, TRUTH)["position_rmse_m"][2:]:
+    for low, high in rubbing.errors.compare({}, TRUTH).change["position_rmse_m"][2:]:
         assert low < high < 0.0
 
 

@@ -65,7 +65,7 @@ def conclude(
     # What leaves half of the error ahead is judged as its probability says.
     left = share_ahead(before, after) - 0.5
     sober = 1.0 - (1.0 - criteria.sober) * float(np.clip(2.0 * left, 0.0, 1.0)) * unexplained.significant
-    if fit.effects and held_out.errors.grow({}, fit.values):
+    if fit.effects and held_out.errors.compare({}, fit.values).grows:
         sober = criteria.sober
     doubtful = selection.reduced or is_doubtful(search, held_out, fit, unexplained)
     most = criteria.suggested if doubtful else 1.0
@@ -74,7 +74,7 @@ def conclude(
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, {})
-        order[effect] = held_out.errors.gain(fit.values, rest)
+        order[effect] = held_out.errors.compare(rest, fit.values).gain
         confidence = min(sober * selection.confidence(effect), criteria.suggested if effect in doubts else most)
         if effect in denied:
             confidence = min(confidence, criteria.sober)
@@ -105,7 +105,7 @@ def conclude(
         unexplained=unexplained,
         cleared=cleared,
         unseen=unseen,
-        improvement=held_out.errors.change({}, fit.values) if causes else {},
+        improvement=held_out.errors.compare({}, fit.values).change if causes else {},
         misfit=find_misfit(search, held_out, fit, after.chi2) if missed else None,
         warnings=warnings,
     )

@@ -144,7 +144,7 @@ def add_blows(found: Diagnosis, blows: Findings) -> Diagnosis:
     """A diagnosis with what impacts showed, errors before as they are without that."""
     values, held_out, verdict = found.values | blows.values, found.held_out, found.verdict
     if blows.causes:
-        after, change = held_out.score(values), held_out.errors.change(blows.nominal, values)
+        after, change = held_out.score(values), held_out.errors.compare(blows.nominal, values).change
         verdict = replace(verdict, before=held_out.score(blows.nominal), after=after, improvement=change)
     suggested = found.suggested | blows.values if found.suggested else {}
     return replace(found, verdict=blows.add_to(verdict), values=values, suggested=suggested)
@@ -161,7 +161,7 @@ def keep_better(material: Material, selection: Selection) -> tuple[Material, Sel
 
     Whatever the search believed: this is what is written.
     """
-    while selection.fit.effects and material.held_out.errors.grow({}, selection.fit.values):
+    while selection.fit.effects and material.held_out.errors.compare({}, selection.fit.values).grows:
         weakest = min(sorted(selection.fit.effects), key=selection.evidence.__getitem__)
         material, selection = leave_out(material, selection, [weakest])
     return material, selection

@@ -11,12 +11,10 @@ from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.channels import BIN
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.evidence.runs import Key
-from vpptwin.diagnosis.judgement.blocks import blocks_of, resample, sum_blocks, tell_apart, to_deviations
+from vpptwin.diagnosis.judgement.blocks import blocks_of
+from vpptwin.diagnosis.judgement.case import Case, Pair
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.twin.robot.manifold import difference_poses
-
-TOLD = 3.0
-"""Observations for which the errors of a block count, over all horizons: those near, and those far ahead."""
 
 
 class PredictionErrors:
@@ -30,48 +28,14 @@ class PredictionErrors:
         self.bench, self.criteria = bench, bench.criteria
         self._found: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
 
-    def grow(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
-        """Whether an error of the pose at any horizon grows by more than `even` and its standard error.
-
-        That is of the mean over blocks of held-out log of the logarithm of error after over error before, Student's
-        where the blocks are few; one block alone tells nothing.
-        """
-        ratios, least = self.ratios(before, after), np.log1p(self.criteria.even)
-        for name in set(ratios) & {"m", "rad"}:
-            mean, error = tell_apart(ratios[name])
-            for growth, doubt, number in zip(mean - least, error, np.isfinite(ratios[name]).sum(axis=0)):
-                if growth > 0.0 and to_deviations(growth / max(doubt, 1e-12), int(number)) > 1.0:
-                    return True
-        return False
-
-    def ratios(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, np.ndarray]:
-        """Log of error after over error before in every block of flight and per horizon, (B, H); as `squares` names.
-
-        Root mean squares of blocks are compared, noise of the sensors added to both: no single slip decides.
-        """
-        first, second, noise = self.squares(before), self.squares(after), self._noise
+    def compare(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> Case:
+        """Errors of a twin with some parameters beside those with others."""
+        first, second, noise = self.squares(before), self.squares(after), self.noise
         blocks = blocks_of(self.bench.windows, self.criteria.block)
-        found = {}
-        for name in first:
-            measured = sum_blocks(np.isfinite(first[name]).astype(float), blocks)
-            sums = [sum_blocks(np.nan_to_num(part[name]), blocks) + noise[name] * measured for part in (first, second)]
-            with np.errstate(invalid="ignore"):  # a block without measurements is NaN
-                found[name] = 0.5 * np.log(sums[1] / sums[0])
-        return found
-
-    def gain(self, values: Mapping[Key, float], without: Mapping[Key, float] | None = None) -> float:
-        """Log of the error of the pose `without` some, or all, of `values` over that with them, summed over blocks.
-
-        The mean over horizons: half of a Gaussian loss with unknown scale, every block counting as `TOLD` observations.
-        """
-        rows = [ratio for name, ratio in self.ratios(without or {}, values).items() if name in ("m", "rad")]
-        if not rows or not values:
-            return 0.0
-        number = np.isfinite(rows).sum(axis=(0, 2))  # none in a block without measurements
-        return -TOLD * float((np.nansum(rows, axis=(0, 2)) / np.maximum(number, 1)).sum())
+        return Case({name: Pair(old, second[name], noise[name], blocks) for name, old in first.items()}, self.criteria)
 
     @cached_property
-    def _noise(self) -> dict[str, np.ndarray]:
+    def noise(self) -> dict[str, np.ndarray]:
         """Variance that sensors, and estimates of starting states, put into errors near every horizon, (H,) each.
 
         Where nobody told how good sensors are, so do the estimates: by how far one that looks ahead too is from one
@@ -136,20 +100,6 @@ class PredictionErrors:
             for channel, columns in zip(self.bench.channels, self.bench.columns)
             if channel.kind in ("position", "velocity")
         }
-
-    def change(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, list[tuple[float, float]]]:
-        """90 % intervals of the change in error per horizon, as a share of the error before, by resampling blocks."""
-        first, second = self.squares(before), self.squares(after)
-        blocks = blocks_of(self.bench.windows, self.criteria.block)
-        named = {"m": "position_rmse_m", "rad": "angle_rmse_rad"}
-        result = {}
-        for name, old in first.items():
-            sums = np.stack([sum_blocks(np.nan_to_num(part), blocks) for part in (old, second[name])])
-            drawn = resample(sums)  # both are divided by the same number of windows
-            share = np.sqrt(drawn[:, 1] / np.maximum(drawn[:, 0], 1e-30)) - 1.0
-            low, high = np.quantile(share, [0.05, 0.95], axis=0)
-            result[named.get(name, name)] = [(float(a), float(b)) for a, b in zip(low, high)]
-        return result
 
 
 def last_bins(square: np.ndarray, horizon: float) -> np.ndarray:

@@ -97,7 +97,7 @@ class Inferred:
         fitted = [dict(zip(fit.values, row.tolist())) for row in means]
         bench = copy(self.ahead.bench)
         bench.folds = self.deal(bench), fitted
-        gain = PredictionErrors(bench).gain(fit.values)
+        gain = PredictionErrors(bench).compare({}, fit.values).gain
         return float(density.sum()) / self.comparison.divisor + gain, means
 
     def deal(self, bench: Bench) -> np.ndarray:
@@ -139,7 +139,9 @@ def infer_causes(
     def tell(effects: frozenset[str]) -> None:
         stage(f"comparing hypotheses ({', '.join(sorted(effects)) or 'nothing wrong'})")
 
-    comparison, fitter, stopped = compare_hypotheses(bench, unknowns, scout, deadline, tell, ahead.gain, imposed)
+    comparison, fitter, stopped = compare_hypotheses(
+        bench, unknowns, scout, deadline, tell, lambda values: ahead.compare({}, values).gain, imposed
+    )
     windows = bench.windows
     fold = cut_folds(windows.flight, windows.start, windows.steps * windows.dt)
     deadline.held = True
@@ -158,11 +160,7 @@ def is_material(search: Search, held_out: HeldOut, values: Mapping[Key, float], 
     if all(abs(values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
         return False
     rest = {key: value for key, value in values.items() if key[0] != effect}
-    with_it, without = held_out.errors.squares(values), held_out.errors.squares(rest)
-    return any(
-        np.any(np.nanmean(without[name], axis=0) > (1.0 + FELT) ** 2 * np.nanmean(with_it[name], axis=0))
-        for name in with_it
-    )
+    return held_out.errors.compare(values, rest).growth > 1.0 + FELT
 
 
 def rescale(measurements: Sequence[Measurements], bench: Bench, scales: Scales) -> list[Measurements]:
