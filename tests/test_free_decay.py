@@ -13,7 +13,7 @@ import yaml
 from tests.diagnosis.rigs import DAMPING, DECAYS, let_swing, record
 from vpptwin.cli.main import main
 from vpptwin.diagnosis.evidence.flights import list_starts
-from vpptwin.diagnosis.judgement.diagnose import open_held_out
+from vpptwin.diagnosis.judgement.material import open_held_out
 from vpptwin.diagnosis.judgement.wrench import plot_wrench
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import read_measurements

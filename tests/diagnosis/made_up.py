@@ -10,7 +10,8 @@ import pytest
 
 from vpptwin.diagnosis.evidence.flights import choose_window, list_starts
 from vpptwin.diagnosis.evidence.preflight import inspect_flight
-from vpptwin.diagnosis.judgement.diagnose import Diagnosis, open_held_out
+from vpptwin.diagnosis.judgement.diagnose import Diagnosis
+from vpptwin.diagnosis.judgement.material import open_held_out
 from vpptwin.diagnosis.judgement.verdict import (
     Cause,
     Cleared,

@@ -13,7 +13,7 @@ from proving.drone.recording import Recording, write_mcap
 from tests.logs import corrupt
 from tests.logs.corrupt import COMMAND, IMU, POLICY, POSE, STATE, copy_column, hold, scale, set_clock
 from vpptwin.diagnosis.evidence.flights import list_starts
-from vpptwin.diagnosis.judgement.diagnose import open_held_out
+from vpptwin.diagnosis.judgement.material import open_held_out
 from vpptwin.estimation.gaps import usable_starts
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs import read_flight

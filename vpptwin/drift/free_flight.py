@@ -11,9 +11,9 @@ from threadpoolctl import threadpool_limits
 from vpptwin.diagnosis.evidence.logged_inputs import describe_turned
 from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.conclusion import estimate
-from vpptwin.diagnosis.judgement.diagnose import prepare
 from vpptwin.diagnosis.judgement.holdout import Score
 from vpptwin.diagnosis.judgement.inferred import select_inferred
+from vpptwin.diagnosis.judgement.material import prepare
 from vpptwin.diagnosis.judgement.verdict import Estimate
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import list_warnings

@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_limits
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S, SHOWN, choose_window, list_starts
 from vpptwin.diagnosis.evidence.logged_inputs import describe_turned, read_session
 from vpptwin.diagnosis.evidence.noise import NoiseFloor, find_noise_floor
-from vpptwin.diagnosis.judgement.diagnose import open_held_out
 from vpptwin.diagnosis.judgement.holdout import Score
+from vpptwin.diagnosis.judgement.material import open_held_out
 from vpptwin.estimation.measurements import list_warnings
 from vpptwin.logs.flight import Flight
 from vpptwin.report.error_table import ErrorTable, tabulate_errors

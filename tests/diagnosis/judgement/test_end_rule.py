@@ -12,9 +12,10 @@ from tests.builders import AFTER, BEFORE, CART, CAUSE, VERDICT, guess, lay_bench
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.judgement import diagnose
 from vpptwin.diagnosis.judgement.conclusion import list_passing, share_ahead
-from vpptwin.diagnosis.judgement.diagnose import Diagnosis, Material, keep_better, suggest
+from vpptwin.diagnosis.judgement.diagnose import Diagnosis, keep_better, suggest
 from vpptwin.diagnosis.judgement.errors import PredictionErrors
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
+from vpptwin.diagnosis.judgement.material import Material
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.diagnosis.judgement.verdict import Rival, Unseen
 from vpptwin.diagnosis.search.search import Search

@@ -7,8 +7,8 @@ import pytest
 
 from tests.diagnosis.rigs import CARTS, FRICTION, record
 from vpptwin.diagnosis.evidence.flights import list_starts
-from vpptwin.diagnosis.judgement.diagnose import open_held_out
 from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.material import open_held_out
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, plot_wrench
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import read_measurements

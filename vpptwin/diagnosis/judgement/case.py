@@ -81,19 +81,19 @@ class Case:
         return [pair for name, pair in self.pairs.items() if name in NAMES]
 
     @property
-    def grows(self) -> bool:
-        """Whether an error of the pose at any horizon grows by more than `even` and its standard error.
+    def rise(self) -> float:
+        """Largest share by which an error of the pose grows at any horizon; none that is within its standard error.
 
         That is of the mean over blocks of held-out log of the logarithm of error after over error before, Student's
         where the blocks are few; one block alone tells nothing.
         """
-        least = np.log1p(self.criteria.even)
+        least, found = np.log1p(self.criteria.even), [0.0]
         for pair in self.poses:
             mean, error = tell_apart(pair.ratios)
-            for growth, doubt, number in zip(mean - least, error, np.isfinite(pair.ratios).sum(axis=0)):
-                if growth > 0.0 and to_deviations(growth / max(doubt, 1e-12), int(number)) > 1.0:
-                    return True
-        return False
+            for growth, doubt, number in zip(mean, error, np.isfinite(pair.ratios).sum(axis=0)):
+                if to_deviations(max(growth - least, 0.0) / max(doubt, 1e-12), int(number)) > 1.0:
+                    found.append(float(np.expm1(growth)))
+        return max(found)
 
     @property
     def gain(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import zip_longest
 
@@ -15,6 +15,7 @@ from vpptwin.diagnosis.evidence.other_motors import describe_other_motors
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.leftover import share_left
 from vpptwin.diagnosis.judgement.power import Shown, judge_power
+from vpptwin.diagnosis.judgement.rules import Rule, judge_twin
 from vpptwin.diagnosis.judgement.selection import Alternative, Explanation, Selection
 from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Misfit, Rival, Unexplained, Verdict
 from vpptwin.diagnosis.search.search import Search
@@ -41,7 +42,7 @@ UNRIVALLED = "{}: not every rival was fitted in its place; at most 89 % probable
 
 def conclude(
     spec: TwinSpec, flights: Sequence[Flight], measurements: Sequence[Measurements], search: Search, held_out: HeldOut,
-    selection: Selection, unexplained: Unexplained, shown: Shown,
+    selection: Selection, unexplained: Unexplained, shown: Shown, decisions: Mapping[str, list[Rule]],
 ) -> Verdict:  # fmt: skip
     """Put the verdict together.
 
@@ -54,6 +55,7 @@ def conclude(
         selection: the causes.
         unexplained: what they leave.
         shown: what the logs would have shown beside them.
+        decisions: effect → rules that it passed, or not.
     """
     fit, criteria, guessed = selection.fit, search.criteria, search.bench.guessed
     before, after = held_out.score({}), held_out.score(fit.values)
@@ -65,7 +67,7 @@ def conclude(
     # What leaves half of the error ahead is judged as its probability says.
     left = share_ahead(before, after) - 0.5
     sober = 1.0 - (1.0 - criteria.sober) * float(np.clip(2.0 * left, 0.0, 1.0)) * unexplained.significant
-    if fit.effects and held_out.errors.compare({}, fit.values).grows:
+    if fit.effects and not judge_twin(held_out.errors.compare({}, fit.values)).passed:
         sober = criteria.sober
     doubtful = selection.reduced or is_doubtful(search, held_out, fit, unexplained)
     most = criteria.suggested if doubtful else 1.0
@@ -108,6 +110,7 @@ def conclude(
         improvement=held_out.errors.compare({}, fit.values).change if causes else {},
         misfit=find_misfit(search, held_out, fit, after.chi2) if missed else None,
         warnings=warnings,
+        decisions=dict(decisions),
     )
 
 

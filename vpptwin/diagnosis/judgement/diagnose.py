@@ -8,35 +8,25 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
-from vpptwin.diagnosis.evidence.flights import (
-    HORIZONS_S,
-    build_bench,
-    choose_window,
-    list_starts,
-    long_starts,
-    thin_out,
-)
-from vpptwin.diagnosis.evidence.forces import scale_twin
-from vpptwin.diagnosis.evidence.logged_inputs import read_session
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
 from vpptwin.diagnosis.evidence.runs import Key, MakeTwin
-from vpptwin.diagnosis.judgement.blows import Findings, judge_blows, strikes_on
+from vpptwin.diagnosis.judgement.blows import Findings, judge_blows
 from vpptwin.diagnosis.judgement.conclusion import conclude, tell_cause
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
-from vpptwin.diagnosis.judgement.inferred import Inferred, infer_causes, is_material, rescale, select_inferred
+from vpptwin.diagnosis.judgement.inferred import select_inferred
 from vpptwin.diagnosis.judgement.leftover import judge_leftover
+from vpptwin.diagnosis.judgement.material import Material, Stage, divide, prepare
 from vpptwin.diagnosis.judgement.power import Shown
+from vpptwin.diagnosis.judgement.rules import judge_twin
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.diagnosis.judgement.verdict import Cause, Cut, Experiment, Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
-from vpptwin.diagnosis.search.prospects import foresee
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.separation import Hypothesis
-from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns
+from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.logs.flight import Flight
@@ -47,10 +37,6 @@ from vpptwin.twin.twin import Twin
 
 MMAP_THRESHOLD = -3
 """M_MMAP_THRESHOLD of malloc.h."""
-TRIED, SCREENED = 4, 4_000_000
-"""Simulations that screen a candidate's parameter, and simulated values up to which all windows take part in that."""
-
-Stage = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -161,8 +147,12 @@ def keep_better(material: Material, selection: Selection) -> tuple[Material, Sel
 
     Whatever the search believed: this is what is written.
     """
-    while selection.fit.effects and material.held_out.errors.compare({}, selection.fit.values).grows:
+    while selection.fit.effects:
+        rule = judge_twin(material.held_out.errors.compare({}, selection.fit.values))
+        if rule.passed:
+            break
         weakest = min(sorted(selection.fit.effects), key=selection.evidence.__getitem__)
+        material.decisions.setdefault(weakest, []).append(rule)
         material, selection = leave_out(material, selection, [weakest])
     return material, selection
 
@@ -205,84 +195,6 @@ def suggest(found: Diagnosis, weak: Sequence[Cause], score: Score, values: Mappi
     return replace(found, verdict=verdict, suggested=dict(values))
 
 
-@dataclass(frozen=True)
-class Material:
-    """What a diagnosis works on: measurements, windows that are fitted, held-out windows, and impacts."""
-
-    read: list[Measurements]  # as the logs have them, with the noise that was inferred where it was
-    measurements: list[Measurements]  # with blows marked
-    search: Search
-    held_out: HeldOut
-    blows: Findings | None  # what they told, where they come first
-    inferred: Inferred  # what all windows told together
-
-
-def prepare(
-    spec: TwinSpec, flights: Sequence[Flight], stage: Stage, progress: Callable[[int], None] | None,
-    criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin, only: Collection[str] = (),
-    deadline: Deadline | None = None, announce: Stage = lambda text: None, causes: Sequence[str] | None = None,
-) -> Material:  # fmt: skip
-    """Read logs, cut them into windows, and compare hypotheses on these, or fit the `causes` that somebody names.
-
-    Where causes are looked for and logs have impacts, the twin has what these told of its contacts.
-    """
-    spec, read = read_session(spec, flights, criteria)
-    spec, measurements = choose_window(spec, read)
-    spec = scale_twin(spec, measurements)
-    blows = None
-    if causes is None and strikes_on(spec, measurements):
-        blows = judge_blows(spec, measurements, {}, stage, progress, criteria, make_twin, only)
-        spec = spec.with_effects({**spec.effects, **blows.effects})
-    unknowns = list_unknowns(spec, only)
-    inferred, measurements, search, held_out = infer(
-        spec, measurements, unknowns, stage, progress, criteria, make_twin, deadline or Deadline(), announce, causes
-    )
-    read = rescale(read, search.bench, inferred.scales)
-    return Material(read, measurements, search, held_out, blows, inferred)
-
-
-def infer(
-    spec: TwinSpec, measurements: Sequence[Measurements], unknowns: tuple[Unknown, ...], stage: Stage,
-    progress: Callable[[int], None] | None, criteria: Criteria, make_twin: MakeTwin, deadline: Deadline,
-    announce: Stage, causes: Sequence[str] | None = None,
-) -> tuple[Inferred, list[Measurements], Search, HeldOut]:  # fmt: skip
-    """Compare hypotheses on all windows; then the logs with the noise that was inferred, and benches of them.
-
-    Causes that somebody names are fitted whatever the evidence.
-    """
-    window = spec.robot.window
-    starts = list_starts(measurements, window)
-    stage("linearising the twin about the logs")
-    few, given = thin_out(spec, starts), (window, False, progress, criteria)
-    bench = build_bench(spec, measurements, few, *given, make_twin=make_twin)
-    every = -(-TRIED * len(unknowns) * bench.measured.size // SCREENED)
-    scout = (
-        bench if every < 2 else build_bench(spec, measurements, [s[::every] for s in few], *given, make_twin=make_twin)
-    )
-    ahead = open_held_out(spec, measurements, starts, progress, criteria, make_twin).errors
-    if causes is None:
-        for line in foresee(bench, scout, unknowns).describe():
-            announce(line)
-    # From here on it holds the deadline.
-    inferred = infer_causes(bench, scout, ahead, unknowns, stage, deadline, causes)
-    stage("predicting every stretch by fits to the others")
-    calm = rescale(measurements, bench, inferred.scales)
-    search = Search(build_bench(spec, calm, few, *given, make_twin=make_twin), unknowns)
-    held_out = open_held_out(spec, calm, starts, progress, criteria, make_twin)
-    while True:
-        divide(held_out, inferred)
-        values = inferred.chosen.values
-        slight = [e for e in sorted(inferred.chosen.effects) if not is_material(search, held_out, values, e)]
-        if not slight or inferred.imposed:
-            return inferred, calm, search, held_out
-        inferred = inferred.drop_weakest(slight)
-
-
-def divide(held_out: HeldOut, inferred: Inferred) -> None:
-    """Judge every window by parameters that were inferred from others."""
-    held_out.divide(*((inferred.deal(each), inferred.fitted) for each in (held_out.short, held_out.errors.bench)))
-
-
 def judge(
     spec: TwinSpec, flights: Sequence[Flight], material: Material, selection: Selection, stage: Stage,
     deadline: Deadline,
@@ -293,7 +205,8 @@ def judge(
     leftover = judge_leftover(held_out, search, fit)
     inferred = material.inferred
     shown = Shown(inferred.fitter, inferred.chosen, inferred.comparison.temper)
-    verdict = conclude(spec, flights, material.measurements, search, held_out, selection, leftover.unexplained, shown)
+    verdict = conclude(spec, flights, material.measurements, search, held_out, selection, leftover.unexplained, shown,
+                       material.decisions)  # fmt: skip
     if any(cause.also_explained_by for cause in verdict.causes):
         stage("looking for the manoeuvre that separates the rivals")
         work = partial(suggest_experiment, spec, search, selection, verdict.causes)
@@ -317,16 +230,3 @@ def suggest_experiment(
     """The manoeuvre for the cause whose rivals are most probable."""
     doubtful = max(causes, key=lambda cause: sum(rival.confidence for rival in cause.also_explained_by)).effect
     return propose(spec.robot, spec, [selection.fit, *selection.instead[doubtful]], search.unknowns, search.criteria)
-
-
-def open_held_out(
-    spec: TwinSpec, measurements: Sequence[Measurements], starts: list[np.ndarray],
-    progress: Callable[[int], None] | None, criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin,
-) -> HeldOut:  # fmt: skip
-    """Benches of the held-out windows."""
-    window, few = spec.robot.window, thin_out(spec, starts, True)
-    short = build_bench(spec, measurements, few, window, True, progress, criteria, make_twin=make_twin)
-    far, horizon = long_starts(starts, window), HORIZONS_S[-1]
-    return HeldOut(
-        short, build_bench(spec, measurements, far, horizon, True, progress, criteria, True, make_twin)
-    )  # fmt: skip

@@ -12,6 +12,7 @@ from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.errors import PredictionErrors
 from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.rules import Rule, judge_cause
 from vpptwin.diagnosis.judgement.selection import Alternative, Explanation, Selection
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.hypotheses import compare_hypotheses
@@ -28,8 +29,6 @@ FOLDS = 6
 """Parts of the logs, each judged by fits to the others."""
 STRETCHES = 3
 """Stretches of time that a fold has at most."""
-FELT = 0.1
-"""Share by which an error must grow without a cause, at one horizon at least."""
 CLOSE = 3.0
 """Sigma within which a rival is reported."""
 LEAST = 0.01
@@ -147,20 +146,18 @@ def infer_causes(
     deadline.held = True
     chosen = comparison.best if imposed is None else max(comparison.fits.values(), key=lambda fit: len(fit.effects))
     best = Inferred(fitter, windows, ahead, comparison, fold, chosen, [], {}, stopped, imposed is not None)
-    best = best.choose(chosen)
-    while imposed is None and (harmful := [effect for effect, gain in best.gains.items() if gain <= 0.0]):
-        best = best.drop_weakest(harmful)
-    return best
+    return best.choose(chosen)
 
 
-def is_material(search: Search, held_out: HeldOut, values: Mapping[Key, float], effect: str) -> bool:
-    """Whether an effect leaves its build tolerance, and errors on stretches that no fit has seen grow without it."""
-    criteria = search.criteria
-    own = [u for u in search.unknowns if u.effect.id == effect]
-    if all(abs(values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
-        return False
-    rest = {key: value for key, value in values.items() if key[0] != effect}
-    return held_out.errors.compare(values, rest).growth > 1.0 + FELT
+def judge_causes(search: Search, held_out: HeldOut, inferred: Inferred) -> dict[str, list[Rule]]:
+    """The rules of every cause, passed or not."""
+    values, found = inferred.chosen.values, {}
+    for effect, gain in inferred.gains.items():
+        own = [u for u in search.unknowns if u.effect.id == effect]
+        rest = {key: value for key, value in values.items() if key[0] != effect}
+        without = held_out.errors.compare(values, rest)
+        found[effect] = judge_cause(own, values, gain, without, search.criteria.tolerances)
+    return found
 
 
 def rescale(measurements: Sequence[Measurements], bench: Bench, scales: Scales) -> list[Measurements]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S, SHOWN
 from vpptwin.diagnosis.judgement.holdout import Score
+from vpptwin.diagnosis.judgement.rules import Rule
 from vpptwin.effects import SIGMAS_90
 
 MOST = 0.5
@@ -177,6 +178,7 @@ class Verdict:
     only: list[str] = field(default_factory=list)
     settled: list[str] = field(default_factory=list)  # effects that were no candidates, as the user said
     suggested: Score | None = None  # errors with the weak causes too, where there are any
+    decisions: dict[str, list[Rule]] = field(default_factory=dict)  # effect → rules that it passed, or not
 
     def __repr__(self) -> str:
         """What is named, and errors `SHOWN` ahead."""
@@ -221,6 +223,7 @@ class Verdict:
             "cleared": [asdict(suspect) for suspect in self.cleared],
             "unseen": [asdict(suspect) for suspect in self.unseen], "improvement": self.improvement,
             "warnings": self.warnings,
+            "decisions": {effect: [rule._asdict() for rule in rules] for effect, rules in self.decisions.items()},
             "stopped": asdict(self.stopped) if self.stopped is not None else None, "only": self.only or None,
         }  # fmt: skip
         content |= {"settled": self.settled} if self.settled else {}
