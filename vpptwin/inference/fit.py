@@ -35,7 +35,7 @@ class Unknown:
 
     Attributes:
         key: effect and parameter.
-        mean: value that is expected.
+        mean: value that is expected; of a limit, one that nothing reaches.
         std: width of its prior.
         low, high: bounds.
         step: difference by which a derivative is taken from a value.
@@ -43,6 +43,7 @@ class Unknown:
         slight: distance from the mean up to which it is no finding.
         fine: share of `step` that is taken along a path: pulses there leave of a parameter's effect only what differs
             from theirs, which a large step would overstate.
+        centre: middle of its prior where its effect is suspected; None for the mean.
     """
 
     key: Key
@@ -54,6 +55,12 @@ class Unknown:
     tolerance: float = 0.0
     slight: float = 0.0
     fine: float = 1.0
+    centre: float | None = None
+
+    @property
+    def middle(self) -> float:
+        """Of its prior where its effect is suspected."""
+        return self.mean if self.centre is None else self.centre
 
 
 class Simulator(Protocol):
@@ -207,7 +214,7 @@ class Fitter:
     def prior_of(self, unknowns: Sequence[Unknown]) -> Prior:
         """The prior of some parameters, and of what is within its tolerance beside them, as `linearise` has them."""
         loose = [self.unknowns[i] for i in self.loose({u.key[0] for u in unknowns})]
-        rows = [(u.mean, u.std, u.low, u.high) for u in unknowns]
+        rows = [(u.middle, u.std, u.low, u.high) for u in unknowns]
         reach = [(u, WIDEST * u.tolerance) for u in loose]
         rows += [(u.mean, u.tolerance, max(u.low, u.mean - r), min(u.high, u.mean + r)) for u, r in reach]
         return Prior(*np.array(rows).reshape(-1, 4).T)

@@ -29,6 +29,8 @@ FOLDS = 6
 """Parts of the logs, each judged by fits to the others."""
 STRETCHES = 3
 """Stretches of time that a fold has at most."""
+ASTRAY = 6.0
+"""Times the median gain of a window that one may gain or lose."""
 CLOSE = 3.0
 """Sigma within which a rival is reported."""
 LEAST = 0.01
@@ -71,8 +73,11 @@ class Inferred:
 
     def choose(self, chosen: Fit) -> Inferred:
         """The same with another set, and what each of its effects brings on stretches that no fit has seen."""
-        density, means = self._predict(chosen)
-        gains = {e: density - self._predict(self.without(chosen, e))[0] for e in sorted(chosen.effects)}
+        density, ahead, means = self._predict(chosen)
+        gains = {}
+        for effect in sorted(chosen.effects):
+            less, nearer, _ = self._predict(self.without(chosen, effect))
+            gains[effect] = sum_gains(density - less) / self.comparison.divisor + ahead - nearer
         return replace(
             self, chosen=chosen, fitted=[dict(zip(chosen.values, row.tolist())) for row in means], gains=gains
         )
@@ -89,15 +94,15 @@ class Inferred:
         """The same without the effect that brings least of some."""
         return self.choose(self.without(self.chosen, min(sorted(among), key=self.gains.__getitem__)))
 
-    def _predict(self, fit: Fit) -> tuple[float, np.ndarray]:
-        """Log weight of predictions on stretches that no fit has seen, and parameters fold by fold, (F, P)."""
+    def _predict(self, fit: Fit) -> tuple[np.ndarray, float, np.ndarray]:
+        """Of stretches that no fit has seen: log density of windows, (K,), gain of errors, parameters by fold, (F, P)."""
         prior = self.fitter.simulator.scale_prior
         density, means = predict_folds(fit.windows, fit.prior, prior, fit.posterior, self.fold)
         fitted = [dict(zip(fit.values, row.tolist())) for row in means]
         bench = copy(self.ahead.bench)
         bench.folds = self.deal(bench), fitted
         gain = PredictionErrors(bench).compare({}, fit.values).gain
-        return float(density.sum()) / self.comparison.divisor + gain, means
+        return density, gain, means
 
     def deal(self, bench: Bench) -> np.ndarray:
         """Folds of a bench's windows, (K,), each that of the fitted window which starts last before it."""
@@ -108,6 +113,12 @@ class Inferred:
             before = rows[windows.start[rows] <= start + 1e-9]
             fold[k] = self.fold[before[np.argmax(windows.start[before])] if len(before) else rows[0]]
         return fold
+
+
+def sum_gains(gains: np.ndarray) -> float:
+    """Sum of what windows gain, (K,), none by more than `ASTRAY` times what half of them do: one must not outvote all."""
+    most = ASTRAY * float(np.median(np.abs(gains)))
+    return float(np.clip(gains, -most, most).sum())
 
 
 def cut_folds(flight: np.ndarray, start: np.ndarray, window: float) -> np.ndarray:

@@ -144,5 +144,5 @@ def name_unknown(suspect: Suspect, criteria: Criteria) -> Unknown:
     return Unknown(
         suspect.key, suspect.nominal, suspect.width, parameter.low, parameter.high, suspect.step_from,
         0.0 if suspect.is_limit else share * parameter.tolerance, criteria.tolerances * parameter.tolerance,
-        1.0 if rough else FINE,
+        1.0 if rough else FINE, suspect.typical if suspect.is_limit else None,
     )  # fmt: skip

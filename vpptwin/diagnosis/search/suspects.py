@@ -25,7 +25,7 @@ MANY = 40
 """Suspects beyond which none is tried at the first of them, which derivatives tell."""
 LIMIT_STEP = 0.15
 """Secant step of a limit, as a share of its value."""
-CUT = tuple(0.5**halved for halved in range(7, 0, -1))
+CUT = (*(0.5**halved for halved in range(7, 0, -1)), 0.75, 0.88, 0.94)
 """What limits that are tried cut off an input, as shares of its root mean square."""
 
 CROSSED, SLOWLY = (0.015, 0.03, 0.06, 0.12, 0.25, 0.5), (1.0, 2.0, 4.0)
@@ -48,15 +48,19 @@ class Unknown:
     @cached_property
     def is_limit(self) -> bool:
         """A rate, an angle, an output that nothing exceeds: off at the upper bound, it acts far below it or not."""
-        parameter = self.parameter
-        typical = parameter.prior.b if parameter.prior.kind == "uniform" else parameter.prior.a
-        return parameter.off >= parameter.high and self.nominal > typical
+        return self.parameter.off >= self.parameter.high and self.nominal > self.typical
+
+    @property
+    def typical(self) -> float:
+        """Of a limit, the value that its prior expects, or the largest that it does."""
+        prior = self.parameter.prior
+        return prior.b if prior.kind == "uniform" else prior.a
 
     @cached_property
     def width(self) -> float:
         """Range within which the parameter is looked for once its effect is under suspicion."""
         prior, parameter = self.parameter.prior, self.parameter
-        spread = prior.b - prior.a if prior.kind == "uniform" else 3.0 * prior.b
+        spread = prior.b if self.is_limit else prior.b - prior.a if prior.kind == "uniform" else 3.0 * prior.b
         return spread if self.is_limit else min(max(spread, 3.0 * parameter.size), parameter.high - parameter.low)
 
     def step_from(self, value: float) -> float:
