@@ -73,7 +73,7 @@ def test_a_fit_along_paths_finds_the_mode_of_what_is_not_linear_in_them(seed: in
     mode = minimize_scalar(lambda size: -toy.density(size), bounds=(0.2, 5.0), method="bounded").x
     assert followed.std[SIZE] == pytest.approx(BEND / np.sqrt(30.0), rel=0.4)  # of the mean of thirty starting states
     assert abs(followed.values[SIZE] - mode) < 0.3 * followed.std[SIZE]
-    assert strain(followed.windows, followed.path, followed.posterior.scales) < 0.1
+    assert strain(followed.windows, followed.posterior.scales) < 0.1
 
 
 def test_evidence_along_paths_is_the_integral() -> None:

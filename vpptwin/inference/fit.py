@@ -167,7 +167,7 @@ class Fitter:
             self._nominal |= dict(zip(new, found))
         slopes = np.concatenate([slopes, *(self._nominal[i][None] for i in loose)])
         at = np.concatenate([at, [self.unknowns[i].mean for i in loose]])
-        return nuisance.compress(slopes, nuisance.restore(residual, path), at)
+        return nuisance.compress(slopes, residual, at, path)
 
     @cached_property
     def nominal(self) -> tuple[np.ndarray, np.ndarray]:
@@ -235,8 +235,8 @@ class Fitter:
             points = [dict(values), *({**values, **t.values} for t in self.trials)]
             residuals = self.scout.residuals(points, values, path)
             changed = residuals[0] - residuals[1:]
-        every, residual = np.concatenate([slopes, changed]), nuisance.restore(residual, path)
-        windows = nuisance.merge(scales).compress(every, residual, np.zeros(len(every)))
+        every = np.concatenate([slopes, changed])
+        windows = nuisance.merge(scales).compress(every, residual, np.zeros(len(every)), path)
         calm = np.minimum(scales.process, np.log(self.simulator.scale_prior.process_median))
         strengths = [Scales(np.zeros(1), each) for each in (scales.process, calm)]
         return [self._share * windows.eliminate(each).information for each in strengths]
@@ -309,7 +309,7 @@ class Fitter:
         windows = self.linearise(values, unknowns, nuisance, path)
         here = infer(windows, prior, scale_prior, scales, np.arange(len(windows.at)) < len(unknowns))
         there = infer(windows, prior, scale_prior, here.scales) if unknowns else here
-        cost = here.deviance + strain(windows, path, here.scales)
+        cost = here.deviance + strain(windows, here.scales)
         penalised = Posterior(here.mean, there.precision, cost, there.penalty, here.scales)
         hope = -0.5 * (there.deviance + there.penalty)
         return Fit(effects, values, penalised, windows, prior, path, hope), there

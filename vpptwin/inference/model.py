@@ -142,14 +142,6 @@ class Nuisance:
         """Standard deviations of starting states and pulses, in units of their priors, (N,)."""
         return np.concatenate([np.ones(self.states), np.exp(scales.process)[self.layout.process]])
 
-    def restore(self, missed: np.ndarray, path: np.ndarray | None) -> np.ndarray:
-        """What would be missed about no path, to first order, of what is about one, (K, M) with paths (K, N)."""
-        if path is None:
-            return missed
-        moved = (self.columns @ path[..., None])[..., 0]
-        seen = np.isfinite(self.layout.noise)
-        return missed + moved * np.where(seen, self.layout.noise, 0.0)
-
     def merge(self, scales: Scales) -> Nuisance:
         """With all channels in one, whose noise is that of scales."""
         factor = np.ones(self.columns.shape[1])
@@ -160,8 +152,10 @@ class Nuisance:
         gram, counts = np.swapaxes(columns, 1, 2) @ columns, self.counts.sum(axis=1, keepdims=True)
         return Nuisance(columns, layout, self.states, gram.reshape(len(gram), 1, -1), counts)
 
-    def compress(self, slopes: np.ndarray, residual: np.ndarray, at: np.ndarray) -> Windows:
-        """Windows from derivatives (P, K, M) at a point (P,) and a residual (K, M)."""
+    def compress(
+        self, slopes: np.ndarray, residual: np.ndarray, at: np.ndarray, path: np.ndarray | None = None
+    ) -> Windows:
+        """Windows from derivatives (P, K, M) at a point (P,) and a residual (K, M), about a path (K, N) or none."""
         outer = np.concatenate([slopes, residual[None]]) / self.layout.noise
         outer = np.moveaxis(outer, 0, -1)
         shape = *self.counts.shape, -1
@@ -169,7 +163,8 @@ class Nuisance:
         for c in self.layout.columns:
             across.append(np.swapaxes(self.columns[:, c], 1, 2) @ outer[:, c])
             products.append(np.swapaxes(outer[:, c], 1, 2) @ outer[:, c])
-        return Windows(self, np.stack(across, axis=1).reshape(shape), np.stack(products, axis=1).reshape(shape), at)
+        joined = (np.stack(parts, axis=1).reshape(shape) for parts in (across, products))
+        return Windows(self, *joined, at, np.zeros(self.columns[:, 0].shape) if path is None else path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,16 +176,19 @@ class Windows:
         across: products of [X | U] with [J | r] in every window and channel, (K, C, N (P + 1)).
         outer: those among [J | r], (K, C, (P + 1)²).
         at: the point, (P,).
+        path: starting states and pulses about which the residual is, (K, N). What is missed about the likeliest path is
+            small, and numbers that are small have no digits to lose.
     """
 
     nuisance: Nuisance
     across: np.ndarray
     outer: np.ndarray
     at: np.ndarray
+    path: np.ndarray
 
     def take(self, rows: np.ndarray) -> Windows:
         """Some of the windows."""
-        return Windows(self.nuisance.take(rows), self.across[rows], self.outer[rows], self.at)
+        return Windows(self.nuisance.take(rows), self.across[rows], self.outer[rows], self.at, self.path[rows])
 
     def restrict(self, parameters: np.ndarray) -> Windows:
         """With some of the parameters, the others staying where they are."""
@@ -200,7 +198,7 @@ class Windows:
         kept, shape = np.append(parameters, free - 1).astype(int), self.nuisance.counts.shape
         across = self.across.reshape(*shape, -1, free)[..., kept].reshape(*shape, -1)
         outer = self.outer.reshape(*shape, free, free)[:, :, kept[:, None], kept].reshape(*shape, -1)
-        return Windows(self.nuisance, across, outer, self.at[parameters])
+        return Windows(self.nuisance, across, outer, self.at[parameters], self.path)
 
     @cached_property
     def total(self) -> np.ndarray:
@@ -213,6 +211,7 @@ class Windows:
         size = nuisance.size(scales)
         noise = (weight @ nuisance.gram).reshape(-1, len(size), len(size))
         across = (weight @ self.across).reshape(-1, len(size), free) * size[:, None]
+        across[:, :, -1] -= self.path / size  # their priors are about none
         inner = noise * size * size[:, None] + np.eye(len(size))
         unit = 1.0 / np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
         even = inner * unit[:, :, None] * unit[:, None, :] + ROUNDING * np.eye(len(size))
@@ -232,7 +231,7 @@ class Eliminated:
         scales: of their noises.
         logdet: log determinant of S, up to a constant, (K,).
         inverse: N⁻¹ of N = I + D [X U]ᵀ [X U] D / σ², with D the scales of states and pulses, (K, N, N).
-        across: D [X U]ᵀ [J | r] / σ², (K, N, P + 1).
+        across: D [X U]ᵀ [J | r] / σ², (K, N, P + 1), less D⁻¹ p of a path p in its last column.
         solved: N⁻¹ times that, (K, N, P + 1).
         size: D, (N,).
     """
@@ -250,12 +249,14 @@ class Eliminated:
         """Inner products of [J | r] under S = σ² + X Xᵀ + U g² Uᵀ of all windows together, (P + 1, P + 1)."""
         free = self.across.shape[2]
         outer = (np.exp(-2.0 * self.scales.sensor) @ self.windows.total).reshape(free, free)
+        outer[-1, -1] += ((self.windows.path / self.size) ** 2).sum()
         return np.asarray(outer - self.across.reshape(-1, free).T @ self.solved.reshape(-1, free))
 
     def square(self, left: np.ndarray) -> np.ndarray:
-        """Square of [J | r] times `left`, (P + 1,), under S in every window, (K,)."""
-        outer = np.exp(-2.0 * self.scales.sensor) @ self.windows.outer
-        return outer @ np.outer(left, left).ravel() - ((self.across @ left) * (self.solved @ left)).sum(axis=1)
+        """Square of [J | r] times `left`, (P + 1,), under S in every window, (K,); the last of `left` is 1."""
+        outer = np.exp(-2.0 * self.scales.sensor) @ self.windows.outer @ np.outer(left, left).ravel()
+        outer += ((self.windows.path / self.size) ** 2).sum(axis=1)
+        return np.asarray(outer - ((self.across @ left) * (self.solved @ left)).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,11 +340,12 @@ def infer(
         e = still.eliminate(scales)
         mean, _, square = find_mode(e.information, still.at, own)
         left = np.concatenate([still.at - mean, [1.0]])
-        noise = e.solved @ left  # posterior mean of states and pulses, in their own scale
+        away = e.solved @ left  # posterior mean of states and pulses, in their own scale, from the path
+        noise = away + still.path / e.size
         # d log det / d log g = 2 (1 - N⁻¹ᵢᵢ), d square / d log g = -2 nᵢ², of every pulse i.
         drive = 2.0 * (1.0 - np.diagonal(e.inverse, axis1=1, axis2=2) - noise**2).sum(axis=0)[nuisance.states :]
         process = np.bincount(driven, drive, minlength=len(scales.process))
-        pulses = noise * e.size
+        pulses = away * e.size
         shrunk = e.inverse * e.size * e.size[:, None] + pulses[:, :, None] * pulses[:, None, :]
         # d (log det + square) / d log σ of a channel = 2 (values - trace of N⁻¹ - squares left at the posterior mean).
         spent = (nuisance.gram @ shrunk.reshape(count, -1, 1)).sum(axis=(0, 2))

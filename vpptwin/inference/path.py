@@ -82,16 +82,16 @@ def smooth(
 def foretell(windows: Windows, at: np.ndarray, scales: Scales) -> np.ndarray:
     """The likeliest path of windows with parameters `at`, (P,), by their linear model, (K, N)."""
     e = windows.eliminate(scales)
-    return np.asarray(e.size * (e.solved @ np.append(windows.at - at, 1.0)))
+    return np.asarray(windows.path + e.size * (e.solved @ np.append(windows.at - at, 1.0)))
 
 
-def strain(windows: Windows, path: np.ndarray, scales: Scales) -> float:
-    """By how much the square of a path, with what it misses, is above the least of the linear model about it.
+def strain(windows: Windows, scales: Scales) -> float:
+    """By how much the square of the path, with what it misses, is above the least of the linear model about it.
 
     That is 0 about the likeliest path. Where it is not, no simulation has borne out what the linear model promises. A
     window in which no better path is found, as where a joint breaks loose too early, must not outvote the others.
     """
     e = windows.eliminate(scales)
-    away = path / e.size - e.solved[:, :, -1]
+    away = e.solved[:, :, -1]
     each = np.einsum("ki,kij,kj->k", away, np.linalg.inv(e.inverse), away)
     return float((each / (1.0 + each / ASTRAY)).sum())

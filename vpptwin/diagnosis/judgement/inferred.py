@@ -95,7 +95,7 @@ class Inferred:
         return self.choose(self.without(self.chosen, min(sorted(among), key=self.gains.__getitem__)))
 
     def _predict(self, fit: Fit) -> tuple[np.ndarray, float, np.ndarray]:
-        """Of stretches that no fit has seen: log density of windows, (K,), gain of errors, parameters by fold, (F, P)."""
+        """Of held-out stretches: log density of windows, (K,), gain of errors, and parameters fold by fold, (F, P)."""
         prior = self.fitter.simulator.scale_prior
         density, means = predict_folds(fit.windows, fit.prior, prior, fit.posterior, self.fold)
         fitted = [dict(zip(fit.values, row.tolist())) for row in means]
@@ -116,7 +116,7 @@ class Inferred:
 
 
 def sum_gains(gains: np.ndarray) -> float:
-    """Sum of what windows gain, (K,), none by more than `ASTRAY` times what half of them do: one must not outvote all."""
+    """Sum of what windows gain, (K,), none more than `ASTRAY` times the median: one must not outvote all others."""
     most = ASTRAY * float(np.median(np.abs(gains)))
     return float(np.clip(gains, -most, most).sum())
 
