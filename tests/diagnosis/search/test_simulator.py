@@ -24,13 +24,13 @@ def simulator(tmp_path_factory: pytest.TempPathFactory) -> BenchSimulator:
 
 
 def test_a_path_moves_windows_as_responses_foretell(simulator: BenchSimulator) -> None:
-    """A cart without friction is linear: what is missed along any path and what the path did add up to what is missed about none."""
+    """A cart without friction is linear: along any path what is missed there and what the path does are missed about none."""
     nuisance = simulator.respond({})
     path = 0.5 * np.random.default_rng(1).normal(size=(5, nuisance.columns.shape[2]))
     about_none = simulator.residuals([{}], {})[0]
     along = simulator.residuals([{}], {}, path)[0]
     assert np.abs((along - about_none) / simulator.bench.std).max() > 1.0
-    moved = (nuisance.columns @ path[..., None])[..., 0] * np.where(np.isfinite(noise), noise, 0.0)
+    moved = (nuisance.columns @ path[..., None])[..., 0] * simulator.bench.std
     np.testing.assert_allclose(along + moved, about_none, atol=1e-6)
     np.testing.assert_allclose(simulator.respond({}, path).columns, nuisance.columns, atol=1e-3)
     np.testing.assert_array_equal(simulator.residuals([{}], {}, np.zeros_like(path))[0], about_none)
