@@ -24,7 +24,7 @@ def simulator(tmp_path_factory: pytest.TempPathFactory) -> BenchSimulator:
 
 
 def test_a_path_moves_windows_as_responses_foretell(simulator: BenchSimulator) -> None:
-    """A cart without friction is linear: along any path what is missed there and what the path does are missed about none."""
+    """A cart without friction is linear: what is missed along any path, and what that does, are missed about none."""
     nuisance = simulator.respond({})
     path = 0.5 * np.random.default_rng(1).normal(size=(5, nuisance.columns.shape[2]))
     about_none = simulator.residuals([{}], {})[0]
