@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.inference.toys import Toy, draw_linear, name_unknown, simulate
+from tests.inference.toys import Linear, Toy, draw_linear, name_unknown, simulate
 from vpptwin.inference.fit import SETTLED, STEPS, WIDEST, Fitter, Point
 from vpptwin.inference.model import Scales
 
@@ -143,3 +143,15 @@ def test_a_fit_does_not_depend_on_what_was_asked_before() -> None:
         used.fit(frozenset(asked), {}, Scales(np.full(2, 2.0), np.full(2, -4.0)))
     for asked in ("ab", "a"):
         assert used.fit(frozenset(asked), {}, near).evidence == fresh.fit(frozenset(asked), {}, near).evidence
+
+
+def test_a_smaller_set_starts_where_the_posterior_of_the_larger_has_it() -> None:
+    """Two effects that are alike share a size; without one of them the other has all of it, before any fit."""
+    law = draw_linear("ab", 3)
+    alike = Linear({("a", "size"): law.array[0], ("b", "size"): law.array[0] + 0.1 * law.array[1]})
+    fitter = Fitter(simulate(alike, {("a", "size"): 2.0}, 3), [name_unknown("a"), name_unknown("b")])
+    both, alone = (fitter.fit(frozenset(effects), {}) for effects in ("ab", "a"))
+    begun = fitter.condition(both, frozenset("a"))
+    assert begun == pytest.approx(alone.values, abs=0.5 * alone.std["a", "size"])
+    assert abs(both.values["b", "size"]) > 2.0 * abs(begun["a", "size"] - alone.values["a", "size"])
+    assert fitter.condition(both, frozenset()) == {}

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from vpptwin.inference.covariance import solve
 from vpptwin.inference.model import Nuisance, Posterior, Prior, ScalePrior, Scales, Windows, infer
 from vpptwin.inference.path import foretell, smooth, strain
 
@@ -218,6 +219,24 @@ class Fitter:
         reach = [(u, WIDEST * u.tolerance) for u in loose]
         rows += [(u.mean, u.tolerance, max(u.low, u.mean - r), min(u.high, u.mean + r)) for u, r in reach]
         return Prior(*np.array(rows).reshape(-1, 4).T)
+
+    def condition(self, fit: Fit, effects: frozenset[str]) -> dict[Key, float]:
+        """Most probable values of some effects of a fit where the others are off, in its Gaussian posterior.
+
+        E[a | b = b₀] = a - P_aa⁻¹ P_ab (b₀ - b) with the precision P (BDA3, appendix A). Where a limit goes, which is
+        off at a value that nothing reaches, the values of the fit.
+        """
+        unknowns = self.of(fit.effects)
+        kept = np.array([u.key[0] in effects for u in unknowns], bool)
+        within = np.append(kept, np.ones(len(fit.prior.mean) - len(kept), bool))
+        away = np.array([u.mean - fit.values[u.key] for u in unknowns])[~kept]
+        if any(u.centre is not None for u, k in zip(unknowns, kept) if not k):
+            return {key: value for key, value in fit.values.items() if key[0] in effects}
+        precision = fit.posterior.precision
+        across = precision[np.ix_(within, np.flatnonzero(~within))]
+        moved = -solve(precision[np.ix_(within, within)], across @ away)[: int(kept.sum())]
+        own = [u for u, k in zip(unknowns, kept) if k]
+        return {u.key: float(np.clip(fit.values[u.key] + m, u.low, u.high)) for u, m in zip(own, moved)}
 
     def screen(self, fit: Fit) -> list[np.ndarray]:
         """Inner products of parameters, trials and what a fit misses, (P + T + 1, P + T + 1), under its noise.

@@ -163,8 +163,9 @@ class Nuisance:
         for c in self.layout.columns:
             across.append(np.swapaxes(self.columns[:, c], 1, 2) @ outer[:, c])
             products.append(np.swapaxes(outer[:, c], 1, 2) @ outer[:, c])
-        joined = (np.stack(parts, axis=1).reshape(shape) for parts in (across, products))
-        return Windows(self, *joined, at, np.zeros(self.columns[:, 0].shape) if path is None else path)
+        path = np.zeros(self.columns[:, 0].shape) if path is None else path
+        crossed, own = (np.stack(parts, axis=1).reshape(shape) for parts in (across, products))
+        return Windows(self, crossed, own, at, path)
 
 
 @dataclass(frozen=True, eq=False)

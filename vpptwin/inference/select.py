@@ -171,9 +171,8 @@ class Searcher:
                     self.lessen(found, effects)  # both along paths as likely as can be
 
     def lessen(self, fit: Fit, rest: frozenset[str]) -> None:
-        """Fit some effects of a set, from where all of them are."""
-        start = {key: value for key, value in fit.values.items() if key[0] in rest}
-        self.try_set(rest, start, fit.posterior.scales, fit)
+        """Fit some effects of a set, from where the posterior of all of them has these if the others are off."""
+        self.try_set(rest, self.fitter.condition(fit, rest), fit.posterior.scales, fit)
 
     def reduce(self, effects: frozenset[str]) -> None:
         """Fit a set without each of its effects."""

@@ -86,7 +86,7 @@ class Inferred:
         """A fit without one of its effects."""
         rest = fit.effects - {effect}
         if rest not in self.comparison.fits:
-            start = {key: value for key, value in fit.values.items() if key[0] != effect}
+            start = self.fitter.condition(fit, rest)
             self.comparison.add(self.fitter.fit(rest, start, fit.posterior.scales, beside=fit))
         return self.comparison.fits[rest]
 
