@@ -345,18 +345,18 @@ def describe_remainder(verdict: Verdict, tables: Sequence[ErrorTable]) -> str:
     elif like:
         told = f"{like}, as disturbances do"
     else:
-        told = describe_times(math.sqrt(verdict.after.chi2))
+        told = f"It has no structure; {describe_times(math.sqrt(verdict.after.chi2))}"
     return f"What remains is {error}. {told}." if verdict.named else f"{told}."
 
 
 def describe_times(times: float) -> str:
     """How far above the noise an error is."""
-    return f"No candidate explains it; over short windows it is {format_digits(times)} times the sensor noise"
+    return f"over short windows it is {format_digits(times)} times the sensor noise"
 
 
 def describe_misfit(misfit: Misfit) -> str:
     """How far the twin is off where that is far: how much, in which joint, from when on."""
-    told = describe_times(misfit.times)
+    told = f"No candidate explains it{' alone' * bool(misfit.within)}; {describe_times(misfit.times)}"
     if not misfit.joint:
         return told
     told += f", largest in {misfit.joint}"

@@ -18,6 +18,8 @@ SEARCHED = 4.0
 """A search takes this [s] times the root of a simulation's time [s], for every window and candidate that these data
 show: fitted to nine rigs on two busy cores. Half of the time is algebra, which knows no simulation; a search that finds
 many causes takes longer."""
+ENOUGH = 30
+"""Windows from which on more of them take hardly longer: of 24 logs on two busy cores 20 took half to twice that."""
 MOST = 8
 """Candidates that are named in a line."""
 
@@ -91,5 +93,5 @@ def foresee(bench: Bench, scout: Bench, unknowns: Sequence[Unknown]) -> Prospect
     shown = np.count_nonzero(sizes >= bench.criteria.seen)
     return Prospects(
         dict(zip(names, sizes.tolist())), apart, {name: names[nearest[i]] for i, name in enumerate(names)},
-        bench.criteria.seen, SEARCHED * float(np.sqrt(each)) * len(bench.windows) * max(int(shown), 1),
+        bench.criteria.seen, SEARCHED * float(np.sqrt(each)) * min(len(bench.windows), ENOUGH) * max(int(shown), 1),
     )  # fmt: skip
