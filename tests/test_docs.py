@@ -15,6 +15,7 @@ import yaml
 from vpptwin import __version__
 from vpptwin.cli.main import build_parser
 from vpptwin.train.main import parse_overrides
+from vpptwin.twin import load_twin
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(
@@ -93,6 +94,13 @@ def test_the_whole_paper_is_on_its_page() -> None:
     told = (ROOT / "docs/paper.md").read_text(encoding="utf-8")
     assert len(labels) == 18
     assert {label for label in labels if f"`{label}`" not in told} == set()
+
+
+def test_the_readme_counts_the_effects() -> None:
+    """As many as the nominal drone may have."""
+    counted = re.search(r"a planar drone with (\d+) effects", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert counted is not None
+    assert int(counted[1]) == len(load_twin().catalogue)
 
 
 def test_the_citation_is_of_this_version() -> None:

@@ -17,7 +17,7 @@ FOLDER = ROOT / "docs/tutorials"
 PROMISED = {
     "own_rig": ["wrote cart.yaml", "± 0.03 N on joint slide takes the error half a second ahead", "whole-log chi²"],
     "quadrotor": ["Correcting a wrong gain of actuator m2 (0.85", "whole-log chi² 300 of quadrotor.yaml, 0.978 of"],
-    "arm": ["wrote arm.yaml", "A payload of 61 ± 2 g on forearm", "whole-log chi² 292 of arm.yaml, 0.87 of"],
+    "arm": ["wrote arm.yaml", "A payload of 61 ± 2 g on forearm", "whole-log chi² 292 of arm.yaml, 0.86"],
     "so101": ["Viscous friction of 0.5 ± 0.2 N m s/rad on joint Rotation", "ahead from 20.5 to 12.6 mrad",
         "│ 7.93 → 5.88", "│ 23.6 → 12.7", "│ 18.3 → 11.7", "motion.html"],
     "leg": ["Dry friction of 0.100 ± 0.005 N m on joint knee", "whole-log chi² 351,000 of leg.yaml, 39.8 of"],
