@@ -20,7 +20,7 @@ PROMISED = {
     "arm": ["wrote arm.yaml", "A payload of 61 ± 2 g on forearm", "whole-log chi² 292 of arm.yaml, 0.86"],
     "so101": ["Viscous friction of 0.5 ± 0.2 N m s/rad on joint Rotation", "ahead from 20.5 to 12.6 mrad",
         "│ 7.93 → 5.88", "│ 23.6 → 12.7", "│ 18.3 → 11.7", "motion.html"],
-    "leg": ["Dry friction of 0.100 ± 0.005 N m on joint knee", "whole-log chi² 351,000 of leg.yaml, 39.8 of"],
+    "leg": ["Dry friction of 0.100 ± 0.005 N m on joint knee", "whole-log chi² 351,000 of leg.yaml, 41.6 of"],
     "retrain": ["ms from command to servo", "20 flights of flip"],
     "write_effect": ["no known effect explains", "It follows rail_x position",
         "A belt that cogs on the horizontal rail"],
