@@ -18,6 +18,8 @@ TWIN = ROOT / "examples/antx/rail.yaml"
 PIVOT = ROOT / "examples/antx/pitch.yaml"
 INERTIA, GAIN, IMPULSE = 0.005, 400.0, 0.1
 """The lab's nominal numbers [kg m²], [rad/s² per M], and the moment [M] that pitch_free_decay commands."""
+BRAKE = {"slide.coulomb": 1.0, "slide.stiction": 1.0, "slide.viscous": 0.25, "slide.drag": 0.25**2}
+"""What an effect of the rail makes at 0.25 m/s, at most, as a share of its strength."""
 HALF_SECOND, SECOND = 3, 4
 """Indices among `horizons_s` of verdict.json (docs/diagnose.md)."""
 
@@ -48,15 +50,14 @@ def test_friction_of_a_small_cart_is_suggested(rig: Rig) -> None:
     the log finds 0.39 N s/m of viscous friction and next to no dry one, open-loop predictions beyond half a second
     favour 0.09 N of dry friction, which takes the position error to a quarter. So nothing may be sure.
     """
-    first = rig.verdict["causes"][0]
-    strength = next(iter(first["parameters"].values()))
-    assert first["effect"] in ("slide.viscous", "slide.coulomb", "slide.stiction")
-    assert first["confidence"] < 0.9
+    brakes = {c["effect"]: next(iter(c["parameters"].values())) for c in rig.verdict["causes"]}
+    assert set(brakes) <= set(BRAKE)
+    assert all(cause["confidence"] < 0.9 for cause in rig.verdict["causes"])
     assert rig.verdict["unexplained"]["significant"]
-    assert strength["nominal"] == 0.0
-    assert strength["value"] > 4.0 * strength["std"]
+    assert all(strength["nominal"] == 0.0 for strength in brakes.values())
+    assert any(strength["value"] > 4.0 * strength["std"] for strength in brakes.values())
     # A cart and drone of 0.534 kg weigh 5.2 N and reach 0.25 m/s; rails on rollers have a coefficient of 0.5 to 5 %.
-    force = (0.25 if first["effect"] == "slide.viscous" else 1.0) * strength["value"]
+    force = sum(BRAKE[effect] * strength["value"] for effect, strength in brakes.items())
     assert 0.005 < force / (0.534 * 9.81) < 0.05
     # Errors at 1 s on blocks that no fit has seen fall: of velocity by more than half, of position by about half.
     before, after = rig.verdict["before"], rig.verdict["after"]
@@ -70,9 +71,9 @@ def test_pages_say_what_is_found(rig: Rig) -> None:
     """The example's page: strengths as the report writes them, and how sure."""
     page = (ROOT / "examples/antx/README.md").read_text(encoding="utf-8")
     first = rig.verdict["causes"][0]
-    (strength,) = first["parameters"].values()
+    strength = next(iter(first["parameters"].values()))
     assert f"{format_value(Estimate(**strength))}" in page
-    assert f"at {100.0 * first['confidence']:.0f} %" in page
+    assert f"{100.0 * first['confidence']:.0f} % probable" in page
 
 
 @pytest.mark.slow

@@ -82,6 +82,7 @@ def test_servos_by_hand(folder: Path) -> None:
     found = [fit["kp"], fit["b"], fit["F"]]
     np.testing.assert_allclose(found, told[:3], rtol=0.03)
     assert fit["late"] < 0.01
+    assert all(each.low <= each.value <= each.high for each in fit.estimates.values())
     values = {name: fit[name] for name in LIMITS}
     for motion, share in (("prbs_excitation", 0.3), ("random_waypoints", 0.9), ("multisine", 0.8)):
         assert miss(folder / motion, "Rotation", values) < share * miss(folder / motion, "Rotation", MAKERS)

@@ -28,6 +28,8 @@ LIMITS = {
 """Parameter → step of its secant, lowest, highest: N m/rad, N m s/rad, N m, N m, s, rad."""
 MAKERS = {"kp": 17.8, "b": 0.6, "F": 0.052, "most": 3.35, "late": 0.0, "z": 0.0}
 """What so101.xml has of its makers."""
+NEAR = 0.03
+"""What a stiffness e times the makers' counts as, as an error of one sample [rad]."""
 DT, WINDOW, SUBSTEPS, SLIDING = 0.02, 25, 4, 0.03  # s, samples, of a sample, rad/s over which friction turns round
 
 
@@ -49,13 +51,17 @@ def weigh(joint: str, position: Array) -> Array:
 
 
 def fit_joint(folders: list[Path], joint: str) -> Fit:
-    """Fit windows of half a second, simulated from the measured state."""
+    """Fit windows of half a second, simulated from the measured state.
+
+    Stiffness, damping and friction may all be larger together at hardly any cost: the stiffness stays near its makers'.
+    """
     logs = [prepare(folder, joint) for folder in folders]
 
     step, low, high = (np.array([LIMITS[name][i] for name in LIMITS]) for i in range(3))
 
     def miss(value: Array) -> Array:
-        return np.concatenate([simulate(value[:, None], INERTIA[joint], *log).ravel() for log in logs])
+        off = [simulate(value[:, None], INERTIA[joint], *log).ravel() for log in logs]
+        return np.concatenate([*off, [NEAR * np.log(value[0] / MAKERS["kp"])]])
 
     start = 0.5 * (low + high)
     found = least_squares(miss, start, bounds=(low, high), x_scale=step, diff_step=step / np.abs(start), loss="soft_l1",
@@ -64,7 +70,9 @@ def fit_joint(folders: list[Path], joint: str) -> Fit:
     columns[np.arange(len(step)), 1 + np.arange(len(step))] += step
     each = [simulate(columns, INERTIA[joint], *log) for log in logs]
     left, slopes = [one[..., 0] for one in each], [one[..., 1:] - one[..., :1] for one in each]
-    ends = np.percentile(found.x + step * draw_errors(left, slopes, 4), [5.0, 95.0], axis=0)
+    errors = draw_errors(left, slopes, 4)
+    errors -= errors.mean(axis=0)  # squares that grow without end, and no bounds, would ask for another optimum
+    ends = np.clip(np.percentile(found.x + step * errors, [5.0, 95.0], axis=0), low, high)
     estimates = {name: Estimate(*numbers) for name, *numbers in zip(LIMITS, found.x, *ends, strict=True)}
     return Fit(estimates, float("nan"), [np.sqrt(np.mean(one**2, axis=(0, 2))) for one in left])
 
