@@ -64,7 +64,6 @@ class Criteria:
     # Rivals and confidence.
     temper: float = by_hand(1.5, "", "divides evidence before it becomes a probability: no noise model is exact",
         "4 at 85fc87b, 1.5 since e1272d1")
-    most_confident: float = assumed(0.999, "", "confidence at most", "85fc87b")
     suggested: float = assumed(0.89, "", "confidence at most while something material is unexplained", "aede6c2")
     named: float = assumed(0.1, "", "probability of a cause, or of its kind, below which the extended twin lacks it",
         "50287d2, as much as each of ten rivals that fit alike has")

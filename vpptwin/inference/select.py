@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from itertools import zip_longest
 
 import numpy as np
+from scipy.special import expit, logsumexp
 
 from vpptwin.inference.fit import BRIEF, Fit, Fitter, Point
 from vpptwin.inference.model import Prior, Scales, find_mode
@@ -87,7 +88,13 @@ class Comparison:
 
     def inclusion(self, effects: frozenset[str]) -> float:
         """Posterior probability that any of some effects is there."""
-        return sum(p for found, p in self.probabilities.items() if found & effects)
+        return float(expit(self.log_odds(effects)))
+
+    def log_odds(self, effects: frozenset[str]) -> float:
+        """Posterior log odds that any of some effects is there, among the sets that were fitted."""
+        logs = {found: self.log_weight(found) for found in self.fits}
+        there, not_there = ([w for found, w in logs.items() if bool(found & effects) == side] for side in (True, False))
+        return float(logsumexp(there) - logsumexp(not_there)) if there and not_there else np.inf if there else -np.inf
 
 
 class Searcher:

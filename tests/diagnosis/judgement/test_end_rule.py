@@ -71,9 +71,9 @@ def keep(errors: Callable[[set[str]], PredictionErrors], monkeypatch: pytest.Mon
     names = KEY[0], OTHER[0]
     told = {KEY[0]: [Rival(OTHER[0], 0.1), Rival("rail_x.viscous", 0.2)], OTHER[0]: []}
     instead = {KEY[0]: [guess({(rival.effect, "force"): 0.1, OTHER: 0.1}) for rival in told[KEY[0]]], OTHER[0]: []}
-    probability, kinds = dict.fromkeys(names, 0.9), dict.fromkeys(names, ("", 0.0))
+    odds, kinds = dict.fromkeys(names, 2.2), dict.fromkeys(names, ("", 0.0))
     fit = guess({KEY: 0.3, OTHER: 0.1})
-    given = Selection(fit, [], told, instead, dict(zip(names, (99.0, 40.0))), probability, kinds)
+    given = Selection(fit, [], told, instead, dict(zip(names, (99.0, 40.0))), odds, kinds)
 
     def leave_out(material: Material, selection: Selection, effects: list[str]) -> tuple[Material, Selection]:
         """As if nothing else moved."""

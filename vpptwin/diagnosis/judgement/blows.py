@@ -22,6 +22,7 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import build_bench
 from vpptwin.diagnosis.evidence.runs import Key, MakeTwin
+from vpptwin.diagnosis.judgement.calibration import CALIBRATION
 from vpptwin.diagnosis.judgement.verdict import Cause, Cleared, Estimate, Rival, Unseen, Verdict
 from vpptwin.diagnosis.search.likelihood import measure_response
 from vpptwin.diagnosis.search.suspects import Unknown
@@ -276,7 +277,7 @@ class Judge:
             u.parameter.name: Estimate(found.values[u.key], u.parameter.unit, found.std[u.key], u.nominal) for u in own
         }
         floor = size_up(found) ** 2 < self.criteria.missed
-        sure = min(sure, self.criteria.most_confident if floor else self.criteria.suggested)
+        sure = min(sure, CALIBRATION.highest if floor else self.criteria.suggested)
         gain = self.share(rest, chosen)
         return Cause(effect, sure, parameters, gain, rivals, own[0].effect.summary, None, self.count)
 

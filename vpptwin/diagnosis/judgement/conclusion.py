@@ -12,6 +12,7 @@ import numpy as np
 from vpptwin.diagnosis.evidence.contradiction import weigh_causes
 from vpptwin.diagnosis.evidence.logged_inputs import describe_input_error, describe_turned, describe_weak_inputs
 from vpptwin.diagnosis.evidence.other_motors import describe_other_motors
+from vpptwin.diagnosis.judgement.calibration import CALIBRATION
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.leftover import share_left
 from vpptwin.diagnosis.judgement.power import Shown, judge_power
@@ -162,10 +163,12 @@ def tell_cause(
         for rival, there in zip_longest(selection.rivals[effect], selection.instead[effect])
     ]
     found = {u.parameter.name: estimate(u, selection.fit) for u in own}
-    kind, sure = selection.kinds.get(effect, ("", 0.0))
-    sure = min(max(doubt * sure, confidence), search.criteria.most_confident) if kind else 0.0
+    kind, odds = selection.kinds.get(effect, ("", 0.0))
+    sure = max(doubt * CALIBRATION.apply(odds), confidence) if kind else 0.0
     weak = max(confidence, sure) < search.criteria.named
-    return Cause(effect, confidence, found, gain, rivals, own[0].effect.summary, interval, 0, kind, sure, weak)
+    told = selection.odds[effect]
+    return Cause(effect, confidence, found, gain, rivals, own[0].effect.summary, interval, 0, kind, sure, weak,
+                 told if np.isfinite(told) else None)  # fmt: skip
 
 
 def describe_rival(search: Search, rival: Rival, there: Alternative | None) -> Rival:

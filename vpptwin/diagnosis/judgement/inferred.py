@@ -7,9 +7,11 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import expit
 
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key
+from vpptwin.diagnosis.judgement.calibration import CALIBRATION
 from vpptwin.diagnosis.judgement.errors import PredictionErrors
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.rules import Rule, judge_cause
@@ -195,24 +197,30 @@ def select_inferred(inferred: Inferred, search: Search) -> Selection:
     fit = Explanation(chosen.effects, dict(chosen.values), std, tolerated, gust, search.criteria)
     empty = comparison.fits[frozenset()]
     first = {next(iter(s)): 2.0 * (f.evidence - empty.evidence) for s, f in comparison.fits.items() if len(s) == 1}
+    odds = {e: np.inf if inferred.imposed else comparison.log_odds(frozenset({e})) for e in chosen.effects}
     rivals = {effect: list_rivals(comparison, chosen, effect) for effect in chosen.effects}
     instead = {effect: [Alternative(f.effects, f.values, f.std) for _, f in row] for effect, row in rivals.items()}
     evidence = {e: 2.0 * (chosen.evidence - comparison.fits[chosen.effects - {e}].evidence) for e in chosen.effects}
-    probability = {e: 1.0 if inferred.imposed else comparison.inclusion(frozenset({e})) for e in chosen.effects}
     kinds = {effect: judge_kind(search, comparison, effect) for effect in chosen.effects}
     ranked = sorted(first.items(), key=lambda item: -item[1])
-    told = {effect: [rival for rival, _ in row] for effect, row in rivals.items()}
+    told = {effect: share_doubt([rival for rival, _ in row], odds[effect]) for effect, row in rivals.items()}
     cut = ("fitting further sets of effects",) if inferred.stopped else ()
-    return Selection(fit, ranked, told, instead, evidence, probability, kinds, not_done=cut,
+    return Selection(fit, ranked, told, instead, evidence, odds, kinds, not_done=cut,
                      unrivalled=chosen.effects if cut else frozenset())  # fmt: skip
 
 
 def judge_kind(search: Search, comparison: Comparison, name: str) -> tuple[str, float]:
-    """An effect's kind, and the probability that anything of that kind is at its place."""
+    """An effect's kind, and the log odds that anything of that kind is at its place."""
     effects = {unknown.effect.id: unknown.effect for unknown in search.unknowns}
     own = effects[name]
     same = {e.id for e in effects.values() if own.kind and (e.kind, e.places) == (own.kind, own.places)}
-    return own.kind, comparison.inclusion(frozenset(same | {name}))
+    return own.kind, comparison.log_odds(frozenset(same | {name}))
+
+
+def share_doubt(rivals: Sequence[Rival], odds: float) -> list[Rival]:
+    """Rivals with what calibration leaves to them, in proportion to their posterior probabilities."""
+    times = (1.0 - CALIBRATION.apply(odds)) / max(float(expit(-odds)), 1e-300)
+    return [replace(rival, confidence=min(times * rival.confidence, 1.0)) for rival in rivals]
 
 
 def average_std(comparison: Comparison, chosen: Fit) -> dict[Key, float]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from vpptwin.diagnosis.criteria import Criteria
 from vpptwin.diagnosis.evidence.runs import Key
+from vpptwin.diagnosis.judgement.calibration import CALIBRATION
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import Stage
@@ -69,8 +70,8 @@ class Selection:
         rivals: cause → effects that explain the fitted windows nearly as well in its place.
         instead: cause → the fits with those effects in its place, in the same order.
         evidence: cause → drop in cost that it brings beside the others.
-        probability: cause → posterior probability that it is there.
-        kinds: cause → its kind, and the probability that anything of that kind is there.
+        odds: cause → posterior log odds that it is there.
+        kinds: cause → its kind, and the log odds that anything of that kind is there.
         left_out: effects that fitted windows asked for, and held-out ones are predicted worse with.
         reduced: whether others were left out of what is written, so that these were found beside what is not there.
         unrivalled: causes in whose place no other was fitted.
@@ -82,7 +83,7 @@ class Selection:
     rivals: dict[str, list[Rival]]
     instead: dict[str, list[Alternative]]
     evidence: dict[str, float]
-    probability: Mapping[str, float]
+    odds: Mapping[str, float]
     kinds: Mapping[str, tuple[str, float]]
     left_out: frozenset[str] = frozenset()
     reduced: bool = False
@@ -105,5 +106,5 @@ class Selection:
                        reduced=True)  # fmt: skip
 
     def confidence(self, effect: str) -> float:
-        """Probability that the cause is right, among its rivals and that nothing is there."""
-        return min(self.probability[effect], self.fit.criteria.most_confident)
+        """Calibrated probability that the cause is right, among its rivals and that nothing is there."""
+        return CALIBRATION.apply(self.odds[effect])

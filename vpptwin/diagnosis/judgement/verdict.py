@@ -50,7 +50,8 @@ class Cause:
 
     Of a contact's, which so many `blows` show, each held out in its turn, of the error there. `kind_confidence` is the
     probability that anything of its `kind` acts there, such as dry friction of some law. Of a `weak` one both are below
-    `Criteria.named`: it stays out of the extended twin.
+    `Criteria.named`: it stays out of the extended twin. `log_odds` are those of the posterior, before calibration; None
+    where nothing was compared.
     """
 
     effect: str
@@ -64,6 +65,7 @@ class Cause:
     kind: str = ""
     kind_confidence: float = 0.0
     weak: bool = False
+    log_odds: float | None = None
 
 
 @dataclass(frozen=True)
