@@ -65,7 +65,7 @@ def test_limits_are_told_from_other_parameters() -> None:
 
 
 def test_ranges_by_hand() -> None:
-    """A limit expected from 4 to 20: any up to 20. A normal prior's three widths, three typical sizes or all there is."""
+    """A limit expected from 4 to 20: any up to 20. A normal prior's 3 widths, 3 typical sizes or all there is."""
     assert RATE.width == RATE.typical == 20.0
     parameter = Parameter(name="p", unit="", off=0.0, low=-4.0, high=4.0, prior=Prior("normal", 0.0, 1.0), size=0.1)
     effect = bias(PLACE)
