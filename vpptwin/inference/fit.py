@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -106,6 +106,7 @@ class Fit:
         prior: of the parameters.
         path: about which all was simulated, (K, N).
         hope: log marginal likelihood where the linear model about `values` has its optimum, paths and all.
+        lent: whether responses are those of the fit that it is beside: its evidence is only a first guess.
     """
 
     effects: frozenset[str]
@@ -115,6 +116,7 @@ class Fit:
     prior: Prior
     path: np.ndarray
     hope: float
+    lent: bool = False
 
     @property
     def evidence(self) -> float:
@@ -296,7 +298,8 @@ class Fitter:
             path = smooth(simulator, values, begun, nuisance, scales)
             known = nuisance if lent else simulator.respond(values, path)
             fit, there = self._look(values, effects, known, path, scales, prior)
-            gain = np.inf if best is None else fit.evidence - best.evidence
+            fit = replace(fit, lent=lent)
+            gain = np.inf if best is None or best.lent > lent else fit.evidence - best.evidence
             if gain > 0.0:
                 best, ahead, stride, scales, nuisance = fit, there.mean, min(1.0, 2.0 * stride), there.scales, known
                 taken += 1

@@ -53,9 +53,9 @@ class Comparison:
     _gains: dict[frozenset[str], float] = field(default_factory=dict)
 
     def add(self, fit: Fit) -> None:
-        """Keep a fit if it is the best of its set."""
+        """Keep a fit if it is the best of its set; one with lent responses only until there is another."""
         known = self.fits.get(fit.effects)
-        if known is None or fit.evidence > known.evidence:
+        if known is None or (known.lent, fit.evidence) > (fit.lent, known.evidence):
             self.fits[fit.effects], self._gains[fit.effects] = fit, self.predict(fit)
 
     @property
