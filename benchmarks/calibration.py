@@ -3,7 +3,7 @@
     python benchmarks/calibration.py collect FOLDER [--seed 4201] [--numbers carts=0:24,pendula=0:24] [--kinds 501:505]
     python benchmarks/calibration.py fit FOLDER
 
-`collect` draws sessions of SimGap and of `proving.kinds` into FOLDER, diagnoses each with `vpptwin diagnose`, and
+`collect` draws sessions of SimGap and of `proving.kinds` into FOLDER, diagnoses each, and
 writes a line for every named cause into FOLDER/claims.jsonl; begun again, it goes on. `fit` writes the map that ships.
 Seeds that calibrate must not judge.
 """
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -31,21 +30,27 @@ from proving.simgap.__main__ import read_numbers  # noqa: E402
 from proving.simgap.entrants.own import write_files  # noqa: E402
 from proving.simgap.sets import draw_set, list_sessions  # noqa: E402
 from proving.simgap.storage import read_session, read_truth  # noqa: E402
+from vpptwin.diagnosis.judgement.diagnose import diagnose  # noqa: E402
 from vpptwin.inference.calibrate import Calibration, fit_calibration  # noqa: E402
+from vpptwin.report.sources import open_flights  # noqa: E402
+from vpptwin.system.deadline import Deadline, Stopped  # noqa: E402
+from vpptwin.system.errors import InputError  # noqa: E402
 from vpptwin.system.files import write_json  # noqa: E402
+from vpptwin.twin.spec import load_twin  # noqa: E402
 
 MAP = ROOT / "vpptwin" / "diagnosis" / "judgement" / "calibration.json"
 NUMBERS = "drones=0:3,carts=0:14,pendula=0:14,cart-poles=0:8,double-pendula=0:6,servos=0:3,pairs=0:8,quadrotors=0:3"
-LIMIT = "6m"
+LIMIT = 240.0
+"""Time of a diagnosis at most [s]."""
 MOST = 20.0
 """Log odds that count as certain."""
 BINS = (0.0, 0.3, 0.5, 0.7, 0.9, 1.0)
-Case = Callable[[Path], tuple[list[str], frozenset[str], frozenset[str]]]
-"""Writes a case into a folder: arguments of `diagnose`, ids that are right, and those that are neither."""
+Case = Callable[[Path], tuple[Path, list[str], frozenset[str], frozenset[str]]]
+"""Writes a case into a folder: twin, logs, ids that are right, and those that are neither right nor wrong."""
 
 
 def list_cases(folder: Path, kinds: range) -> Iterator[tuple[str, Case]]:
-    """Name and case of all sessions and kinds."""
+    """Name and case of all sessions and kinds; those that need no twin file are left out."""
     for home in list_sessions(folder):
         yield home.name, lambda out, home=home: open_session(folder, home, out)
     for seed in kinds:
@@ -53,37 +58,37 @@ def list_cases(folder: Path, kinds: range) -> Iterator[tuple[str, Case]]:
             yield f"{kind}_{seed}", lambda out, kind=kind, seed=seed: open_kind(kind, seed, out)
 
 
-def open_session(folder: Path, home: Path, out: Path) -> tuple[list[str], frozenset[str], frozenset[str]]:
-    """A session of SimGap."""
+def open_session(folder: Path, home: Path, out: Path) -> tuple[Path, list[str], frozenset[str], frozenset[str]]:
+    """A session of SimGap. A payload may lie in the middle of its body, as more mass does."""
     truth = read_truth(folder, home)
-    twin = write_files(read_session(home), out)
     right = {name.split(":")[0] for name in (*truth.sizes, *truth.alike)}
-    return [*sorted(map(str, home.glob("run_*.mcap"))), "--twin", str(twin)], frozenset(right), frozenset()
+    right |= {name.replace(".mass", ".payload") for name in right}
+    logs = sorted(map(str, home.glob("run_*.mcap")))
+    return write_files(read_session(home), out), logs, frozenset(right), frozenset()
 
 
-def open_kind(kind: str, seed: int, out: Path) -> tuple[list[str], frozenset[str], frozenset[str]]:
+def open_kind(kind: str, seed: int, out: Path) -> tuple[Path, list[str], frozenset[str], frozenset[str]]:
     """A case of `proving.kinds`."""
     case = write_kind(kind, seed, out)
-    rig = ["--twin", str(case.twin)] if case.twin else ["--model", str(case.model)]
-    return [*map(str, case.logs), *rig], case.effects | case.right, case.also
+    if case.twin is None:
+        raise InputError("a case without a twin file", "one with it", "take another")
+    return case.twin, [*map(str, case.logs)], case.effects | case.right, case.also
 
 
-def diagnose(case: Case) -> list[dict[str, Any]] | None:
+def judge_case(case: Case) -> list[dict[str, Any]] | None:
     """Causes of a verdict, each with whether it is right; None where there is no verdict."""
     with tempfile.TemporaryDirectory() as folder:
-        arguments, right, neither = case(Path(folder))
-        out = Path(folder) / "out"
-        command = [sys.executable, "-m", "vpptwin", "diagnose", *arguments, "--out", str(out), "--limit", LIMIT, "-y"]
-        place = {**os.environ, "PYTHONPATH": str(ROOT)}
-        subprocess.run(command, capture_output=True, check=False, cwd=folder, env=place)
-        if not (out / "verdict.json").exists():
+        try:
+            twin, logs, right, neither = case(Path(folder))
+            spec = load_twin(twin)
+            flights = open_flights(logs, signals=spec.robot.signals.entries)
+            verdict = diagnose(spec, flights, deadline=Deadline(LIMIT)).verdict
+        except (InputError, Stopped):
             return None
-        verdict = json.loads((out / "verdict.json").read_text())
-    left = bool(verdict["unexplained"]["significant"])
     return [
-        {"effect": c["effect"], "log_odds": c["log_odds"], "right": c["effect"] in right, "left": left,
-         "chi2": verdict["after"]["chi2"], "confidence": c["confidence"]}
-        for c in verdict["causes"] if c["effect"] not in neither
+        {"effect": c.effect, "log_odds": c.log_odds, "right": c.effect in right, "chi2": verdict.after.chi2,
+         "left": verdict.unexplained.significant, "confidence": c.confidence}
+        for c in verdict.causes if c.effect not in neither
     ]  # fmt: skip
 
 
@@ -97,7 +102,7 @@ def collect(folder: Path, seed: int, numbers: str, kinds: str) -> None:
     cases = sorted(list_cases(folder, range(first, last)), key=lambda each: int(each[0][-3:]) % 500)
     for name, case in cases:
         if name not in done:
-            causes = diagnose(case)
+            causes = judge_case(case)
             with claims.open("a") as file:
                 file.write(json.dumps({"session": name, "causes": causes}) + "\n")
             told = [(c["effect"], round(c["confidence"], 2), c["right"]) for c in causes or ()]
