@@ -235,5 +235,5 @@ class Verdict:
 
 def trim(told: dict[str, Any]) -> dict[str, Any]:
     """A cause or a rival without words, and without keys that say nothing: what reads verdicts may not know them."""
-    sparse = ("blows", "kind", "kind_confidence", "weak", "parameters")
+    sparse = ("blows", "kind", "kind_confidence", "weak", "parameters", "log_odds")
     return {name: value for name, value in told.items() if name != "summary" and (value or name not in sparse)}
