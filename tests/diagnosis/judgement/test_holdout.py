@@ -144,9 +144,9 @@ def test_a_twin_that_diverges_is_no_better(rubbing: HeldOut, monkeypatch: pytest
         return np.full_like(predict(variations, sensors_of), np.nan)
 
     judges = HeldOut(rubbing.short, rubbing.errors.bench)
-    assert not judges.errors.compare({}, TRUTH).grows
+    assert not judges.errors.compare({}, TRUTH).rise
     monkeypatch.setattr(judges.errors.bench, "predict", diverge)
-    assert judges.errors.compare(TRUTH, DOUBLE).grows
+    assert judges.errors.compare(TRUTH, DOUBLE).rise > 1.0
     assert all(np.isfinite(errors[:, :2]).all() for errors in judges.errors.by_channel(DOUBLE).values())
 
 
