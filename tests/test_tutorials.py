@@ -21,7 +21,7 @@ FOLDER = ROOT / "docs/tutorials"
 PROMISED = {
     "own_rig": ["wrote cart.yaml", "Dry friction of 0.5", "whole-log chi²"],
     "quadrotor": ["Correcting a wrong gain of actuator m2 (0.85", "whole-log chi² 300 of quadrotor.yaml, 0.9"],
-    "arm": ["wrote arm.yaml", "A payload of 6", "whole-log chi² 292 of arm.yaml, 0.8"],
+    "arm": ["wrote arm.yaml", "A payload of 6", "whole-log chi² 292 of arm.yaml"],
     "so101": ["iscous friction of 0.", "motion.html"],
     "leg": ["N m on joint knee takes the error", "whole-log chi² 351,000 of leg.yaml, 4"],
     "retrain": ["ms from command to servo", "20 flights of flip"],
