@@ -95,7 +95,7 @@ class Result:
     def __str__(self) -> str:
         """The verdict in at most ten lines."""
         lines = [*self.summary.lines, *self.verdict.warnings]
-        shown = [shorten(line, COLUMNS, placeholder=" …") for line in lines]
+        shown = [*lines[:1], *(shorten(line, COLUMNS, placeholder=" …") for line in lines[1:])]
         return "\n".join(shown if len(shown) <= LINES else [*shown[: LINES - 1], f"and {len(shown) - LINES + 1} more"])
 
     __repr__ = __str__
