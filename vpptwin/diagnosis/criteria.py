@@ -67,8 +67,6 @@ class Criteria:
     suggested: float = assumed(0.89, "", "confidence at most while something material is unexplained", "aede6c2")
     named: float = assumed(0.1, "", "probability of a cause, or of its kind, below which the extended twin lacks it",
         "50287d2, as much as each of ten rivals that fit alike has")
-    explained: float = assumed(0.1, "", "share of the held-out excess chi² left from which a cause is but suggested",
-        "73d3b90, rigs whose sensors and disturbances are assumed")
     comes_again: float = calibrated(1.5, "", "waves along the way from which a force is cogging, not any of its place",
         "6c1d7bc, five seeds of other rigs, 13989 to 96897: six that were there have 2.1 to 12, three 0.8 to 1.0")
     sober: float = by_hand(0.5, "", "confidence left where half is unexplained, or errors grow",

@@ -14,7 +14,6 @@ from vpptwin.diagnosis.evidence.logged_inputs import describe_input_error, descr
 from vpptwin.diagnosis.evidence.other_motors import describe_other_motors
 from vpptwin.diagnosis.judgement.calibration import CALIBRATION
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
-from vpptwin.diagnosis.judgement.leftover import share_left
 from vpptwin.diagnosis.judgement.power import Shown, judge_power
 from vpptwin.diagnosis.judgement.rules import Rule, judge_twin
 from vpptwin.diagnosis.judgement.selection import Alternative, Explanation, Selection
@@ -70,7 +69,8 @@ def conclude(
     sober = 1.0 - (1.0 - criteria.sober) * float(np.clip(2.0 * left, 0.0, 1.0)) * unexplained.significant
     if fit.effects and not judge_twin(held_out.errors.compare({}, fit.values)).passed:
         sober = criteria.sober
-    doubtful = selection.reduced or is_doubtful(search, held_out, fit, unexplained)
+    nearly = not guessed and unexplained.sigma > criteria.doubted
+    doubtful = selection.reduced or unexplained.significant or nearly
     most = criteria.suggested if doubtful else 1.0
     causes, order, doubts = [], {}, dict.fromkeys(selection.unrivalled & fit.effects, UNRIVALLED)
     doubts |= dict.fromkeys(list_passing(search, fit), PASSING)
@@ -143,13 +143,6 @@ def describe_soft_couplings(model: mujoco.MjModel) -> list[str]:
     """Equalities of an MJCF that give: MuJoCo's own softness lets joints that a gear couples part by millimetres."""
     soft = np.flatnonzero(model.eq_active0 & (model.eq_solimp[:, 1] < STIFF))
     return [SOFT.format(model.equality(int(i)).name or i, model.eq_solimp[i, 1]) for i in soft]
-
-
-def is_doubtful(search: Search, held_out: HeldOut, fit: Explanation, unexplained: Unexplained) -> bool:
-    """Whether so much is left that no cause is more than suggested."""
-    if unexplained.significant or not search.bench.guessed:
-        return unexplained.significant or unexplained.sigma > search.criteria.doubted
-    return share_left(held_out, fit) > search.criteria.explained
 
 
 def tell_cause(
