@@ -289,12 +289,8 @@ class Fitter:
         if path is None:
             path = np.zeros((len(nuisance.gram), nuisance.columns.shape[2]))
         best, stride, ahead, taken = None, 1.0, np.empty(0), 0
-        rough = any(u.fine == 1.0 for u in unknowns)
-        anew = rough and beside is not None
         while taken < steps:  # a stride that is too long is no step
             begun = [path] if best is None else [path, best.path]
-            if anew:  # what sticks has several likely paths: pulses make up for friction that was not there
-                begun.append(smooth(simulator, values, [np.zeros_like(path)], simulator.respond(values), scales))
             path = smooth(simulator, values, begun, nuisance, scales)
             known = nuisance if lent else simulator.respond(values, path)
             fit, there = self._look(values, effects, known, path, scales, prior)
@@ -305,9 +301,8 @@ class Fitter:
                 taken += 1
                 if lent and taken == steps and fit.hope - fit.evidence > SETTLED:
                     lent, taken = False, taken - 1  # it responds otherwise than what it is beside
-                elif gain < SETTLED and (anew or not rough):
+                elif gain < SETTLED:
                     break
-                anew = rough and gain < SETTLED
             else:
                 stride *= 0.4
                 if stride < SHORTEST:

@@ -22,7 +22,7 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import build_bench
 from vpptwin.diagnosis.evidence.runs import Key, MakeTwin
-from vpptwin.diagnosis.judgement.calibration import CALIBRATION
+from vpptwin.diagnosis.judgement.selection import CALIBRATION
 from vpptwin.diagnosis.judgement.verdict import Cause, Cleared, Estimate, Rival, Unseen, Verdict
 from vpptwin.diagnosis.search.likelihood import measure_response
 from vpptwin.diagnosis.search.suspects import Unknown

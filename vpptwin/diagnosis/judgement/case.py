@@ -1,18 +1,23 @@
-"""Two twins on the same held-out data: every comparison of their errors."""
+"""Two twins on the same held-out data: every comparison of their errors, and the rules that decide on a cause."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from vpptwin.diagnosis.criteria import Criteria
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.blocks import resample, sum_blocks, tell_apart, to_deviations
+from vpptwin.diagnosis.search.suspects import Unknown
 
 TOLD = 3.0
 """Observations for which the errors of a block count, over all horizons: those near, and those far ahead."""
+FELT = 1.1
+"""Error without a cause over that with it, at one horizon at least."""
 NAMES = {"m": "position_rmse_m", "rad": "angle_rmse_rad"}
 """Poses, as verdict.json calls their errors."""
 
@@ -116,3 +121,43 @@ class Case:
     def change(self) -> dict[str, list[tuple[float, float]]]:
         """90 % intervals of the change in every error per horizon, by the names of verdict.json."""
         return {NAMES.get(name, name): pair.change for name, pair in self.pairs.items()}
+
+
+class Rule(NamedTuple):
+    """A number that a decision rests on."""
+
+    name: str
+    statistic: float
+    threshold: float
+    passed: bool
+
+
+def need_more(name: str, statistic: float, threshold: float) -> Rule:
+    """A rule that is passed above its threshold."""
+    return Rule(name, float(statistic), float(threshold), bool(statistic > threshold))
+
+
+def judge_cause(
+    own: Sequence[Unknown], values: Mapping[Key, float], gain: float, without: Case, tolerances: float
+) -> list[Rule]:
+    """Rules that an effect has to pass beside the other causes, on stretches of log that no fit has seen.
+
+    Args:
+        own: its parameters.
+        values: of all parameters.
+        gain: log weight of predictions of held-out data that it brings.
+        without: twins with it and without.
+        tolerances: build tolerances by which one of its parameters must leave its nominal value.
+    """
+    off = max(abs(values[u.key] - u.nominal) / max(u.parameter.tolerance, 1e-12) for u in own)
+    return [
+        need_more("log predictive density of held-out data that it adds", gain, 0.0),
+        need_more("distance from nominal, in build tolerances", off, tolerances),
+        need_more("largest error without it, over the error with it", without.growth, FELT),
+    ]
+
+
+def judge_twin(extended: Case) -> Rule:
+    """The rule that the extended twin has to pass against the twin as it was."""
+    rise, even = extended.rise, extended.criteria.even
+    return Rule("largest growth of an error with all causes", rise, even, rise <= even)

@@ -12,11 +12,10 @@ import numpy as np
 from vpptwin.diagnosis.evidence.contradiction import weigh_causes
 from vpptwin.diagnosis.evidence.logged_inputs import describe_input_error, describe_turned, describe_weak_inputs
 from vpptwin.diagnosis.evidence.other_motors import describe_other_motors
-from vpptwin.diagnosis.judgement.calibration import CALIBRATION
+from vpptwin.diagnosis.judgement.case import Rule, judge_twin
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.power import Shown, judge_power
-from vpptwin.diagnosis.judgement.rules import Rule, judge_twin
-from vpptwin.diagnosis.judgement.selection import Alternative, Explanation, Selection
+from vpptwin.diagnosis.judgement.selection import CALIBRATION, Alternative, Explanation, Selection
 from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Misfit, Rival, Unexplained, Verdict
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown

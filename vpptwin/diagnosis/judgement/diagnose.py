@@ -14,13 +14,13 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
 from vpptwin.diagnosis.evidence.runs import Key, MakeTwin
 from vpptwin.diagnosis.judgement.blows import Findings, judge_blows
+from vpptwin.diagnosis.judgement.case import judge_twin
 from vpptwin.diagnosis.judgement.conclusion import conclude, tell_cause
 from vpptwin.diagnosis.judgement.holdout import HeldOut, Score
 from vpptwin.diagnosis.judgement.inferred import select_inferred
 from vpptwin.diagnosis.judgement.leftover import judge_leftover
 from vpptwin.diagnosis.judgement.material import Material, Stage, divide, prepare
 from vpptwin.diagnosis.judgement.power import Shown
-from vpptwin.diagnosis.judgement.rules import judge_twin
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.diagnosis.judgement.verdict import Cause, Cut, Experiment, Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot

@@ -11,11 +11,10 @@ from scipy.special import expit
 
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key
-from vpptwin.diagnosis.judgement.calibration import CALIBRATION
+from vpptwin.diagnosis.judgement.case import Rule, judge_cause
 from vpptwin.diagnosis.judgement.errors import PredictionErrors
 from vpptwin.diagnosis.judgement.holdout import HeldOut
-from vpptwin.diagnosis.judgement.rules import Rule, judge_cause
-from vpptwin.diagnosis.judgement.selection import Alternative, Explanation, Selection
+from vpptwin.diagnosis.judgement.selection import CALIBRATION, Alternative, Explanation, Selection
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.hypotheses import compare_hypotheses
 from vpptwin.diagnosis.search.search import Search

@@ -20,9 +20,9 @@ from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.evidence.logged_inputs import read_session
 from vpptwin.diagnosis.evidence.runs import MakeTwin
 from vpptwin.diagnosis.judgement.blows import Findings, judge_blows, strikes_on
+from vpptwin.diagnosis.judgement.case import Rule
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.inferred import Inferred, infer_causes, judge_causes, rescale
-from vpptwin.diagnosis.judgement.rules import Rule
 from vpptwin.diagnosis.search.prospects import foresee
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns

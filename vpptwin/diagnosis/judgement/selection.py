@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib.resources import files
 
 import numpy as np
 
 from vpptwin.diagnosis.criteria import Criteria
 from vpptwin.diagnosis.evidence.runs import Key
-from vpptwin.diagnosis.judgement.calibration import CALIBRATION
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import Stage
+from vpptwin.inference.calibrate import Calibration
+
+
+def load_calibration() -> Calibration:
+    """The map from log odds to confidence; its file has seeds and commit (`benchmarks/calibration.py`)."""
+    told = json.loads(files("vpptwin.diagnosis.judgement").joinpath("calibration.json").read_text())
+    return Calibration(told["intercept"], told["slope"], told["highest"])
+
+
+CALIBRATION = load_calibration()
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S, SHOWN
+from vpptwin.diagnosis.judgement.case import Rule
 from vpptwin.diagnosis.judgement.holdout import Score
-from vpptwin.diagnosis.judgement.rules import Rule
 from vpptwin.effects import SIGMAS_90
 
 MOST = 0.5
