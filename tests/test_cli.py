@@ -218,7 +218,7 @@ def check_power(verdict: dict) -> None:
 def check_verdict(verdict: dict) -> None:
     """verdict.json has the form of docs/diagnose.md, key by key."""
     keys = ("logs", "twin", "samples", "horizons_s", "before", "after", "gap", "causes", "unexplained")
-    ours = ("misfit", "experiment", "cleared", "unseen", "improvement", "warnings", "stopped", "only")
+    ours = ("misfit", "experiment", "cleared", "unseen", "improvement", "warnings", "stopped", "only", "decisions")
     assert set(verdict) == {*keys, "suggested_experiment", *ours}
     assert all(isinstance(log, str) for log in verdict["logs"])
     assert isinstance(verdict["twin"], str)

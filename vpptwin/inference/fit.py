@@ -289,8 +289,12 @@ class Fitter:
         if path is None:
             path = np.zeros((len(nuisance.gram), nuisance.columns.shape[2]))
         best, stride, ahead, taken = None, 1.0, np.empty(0), 0
+        limits = any(u.centre is not None for u in unknowns)
+        anew = limits and beside is not None
         while taken < steps:  # a stride that is too long is no step
             begun = [path] if best is None else [path, best.path]
+            if anew:  # a path without the limit has pulses that make up for it: none has fewer
+                begun.append(smooth(simulator, values, [np.zeros_like(path)], simulator.respond(values), scales))
             path = smooth(simulator, values, begun, nuisance, scales)
             known = nuisance if lent else simulator.respond(values, path)
             fit, there = self._look(values, effects, known, path, scales, prior)
@@ -301,8 +305,9 @@ class Fitter:
                 taken += 1
                 if lent and taken == steps and fit.hope - fit.evidence > SETTLED:
                     lent, taken = False, taken - 1  # it responds otherwise than what it is beside
-                elif gain < SETTLED:
+                elif gain < SETTLED and (anew or not limits):
                     break
+                anew = limits and gain < SETTLED
             else:
                 stride *= 0.4
                 if stride < SHORTEST:

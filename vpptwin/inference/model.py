@@ -26,8 +26,8 @@ MARGIN = 1e-9
 SETTLED = {"ftol": 1e-6, "gtol": 0.02}
 MAX_SEARCH = 40
 """Steps at most of the search for noise scales."""
-LOWEST, HIGHEST = 1e-4, 1e5
-"""Bounds of the process noise, in its prior median."""
+LOWEST, HIGHEST = 1e-4, 5e3
+"""Bounds of the process noise, in its prior median; of a joint the latter is twice the force that drives it."""
 
 
 @dataclass(frozen=True)

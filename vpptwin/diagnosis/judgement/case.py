@@ -16,8 +16,9 @@ from vpptwin.diagnosis.search.suspects import Unknown
 
 TOLD = 3.0
 """Observations for which the errors of a block count, over all horizons: those near, and those far ahead."""
-FELT = 1.1
-"""Error without a cause over that with it, at one horizon at least."""
+FELT, CLEAR = 1.1, 1.5
+"""Error without a cause over that with it, at one horizon at least; and from which on densities have no veto: where
+joints stick, they rest on a linear model."""
 NAMES = {"m": "position_rmse_m", "rad": "angle_rmse_rad"}
 """Poses, as verdict.json calls their errors."""
 
@@ -150,8 +151,9 @@ def judge_cause(
         tolerances: build tolerances by which one of its parameters must leave its nominal value.
     """
     off = max(abs(values[u.key] - u.nominal) / max(u.parameter.tolerance, 1e-12) for u in own)
+    predicts = need_more("log predictive density of held-out data that it adds", gain, 0.0)
     return [
-        need_more("log predictive density of held-out data that it adds", gain, 0.0),
+        predicts._replace(passed=predicts.passed or without.growth > CLEAR),
         need_more("distance from nominal, in build tolerances", off, tolerances),
         need_more("largest error without it, over the error with it", without.growth, FELT),
     ]

@@ -161,7 +161,7 @@ def leave_out(material: Material, selection: Selection, effects: Sequence[str]) 
     """Both without some of the causes, all others fitted anew."""
     inferred = material.inferred
     for effect in effects:
-        inferred = inferred.choose(inferred.without(inferred.chosen, effect))
+        inferred = inferred.drop(effect)
     divide(material.held_out, inferred)
     material = replace(material, inferred=inferred)
     return material, selection.reduce_to(select_inferred(inferred, material.search).fit)

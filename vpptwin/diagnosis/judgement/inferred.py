@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -91,9 +91,9 @@ class Inferred:
             self.comparison.add(self.fitter.fit(rest, start, fit.posterior.scales, beside=fit))
         return self.comparison.fits[rest]
 
-    def drop_weakest(self, among: Collection[str]) -> Inferred:
-        """The same without the effect that brings least of some."""
-        return self.choose(self.without(self.chosen, min(sorted(among), key=self.gains.__getitem__)))
+    def drop(self, effect: str) -> Inferred:
+        """The same without an effect."""
+        return self.choose(self.without(self.chosen, effect))
 
     def _predict(self, fit: Fit) -> tuple[np.ndarray, float, np.ndarray]:
         """Of held-out stretches: log density of windows, (K,), gain of errors, and parameters fold by fold, (F, P)."""

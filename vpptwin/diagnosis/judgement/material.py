@@ -108,10 +108,10 @@ def infer(
         divide(held_out, inferred)
         found = judge_causes(search, held_out, inferred)
         decisions |= found
-        failing = [effect for effect, rules in found.items() if not all(rule.passed for rule in rules)]
+        failing = {effect: rules[-1] for effect, rules in found.items() if not all(rule.passed for rule in rules)}
         if not failing or inferred.imposed:
             return inferred, calm, search, held_out, decisions
-        inferred = inferred.drop_weakest(failing)
+        inferred = inferred.drop(min(sorted(failing), key=lambda effect: failing[effect].statistic))  # it helps least
 
 
 def divide(held_out: HeldOut, inferred: Inferred) -> None:
