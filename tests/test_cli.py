@@ -179,7 +179,7 @@ def check_score(score: dict) -> None:
 def check_cause(cause: dict) -> None:
     """An entry of `causes`, against the catalogue."""
     known = {"effect", "confidence", "parameters", "gain", "gain_interval", "also_explained_by"}
-    assert known <= set(cause) <= known | {"kind", "kind_confidence"}
+    assert known <= set(cause) <= known | {"kind", "kind_confidence", "log_odds"}
     effect = find_effect(CATALOGUE, cause["effect"])
     assert 0.0 < cause["confidence"] < 1.0
     assert cause["gain"] <= 1.0

@@ -289,11 +289,11 @@ class Fitter:
         if path is None:
             path = np.zeros((len(nuisance.gram), nuisance.columns.shape[2]))
         best, stride, ahead, taken = None, 1.0, np.empty(0), 0
-        limits = any(u.centre is not None for u in unknowns)
-        anew = limits and beside is not None
+        rough = any(u.fine == 1.0 for u in unknowns)
+        anew = rough and beside is not None
         while taken < steps:  # a stride that is too long is no step
             begun = [path] if best is None else [path, best.path]
-            if anew:  # a path without the limit has pulses that make up for it: none has fewer
+            if anew:  # a path without friction, or a limit, has pulses that make up for it
                 begun.append(smooth(simulator, values, [np.zeros_like(path)], simulator.respond(values), scales))
             path = smooth(simulator, values, begun, nuisance, scales)
             known = nuisance if lent else simulator.respond(values, path)
@@ -305,9 +305,11 @@ class Fitter:
                 taken += 1
                 if lent and taken == steps and fit.hope - fit.evidence > SETTLED:
                     lent, taken = False, taken - 1  # it responds otherwise than what it is beside
-                elif gain < SETTLED and (anew or not limits):
+                    values, path = dict(best.values), best.path
+                    continue
+                if gain < SETTLED and (anew or not rough):
                     break
-                anew = limits and gain < SETTLED
+                anew = rough and gain < SETTLED
             else:
                 stride *= 0.4
                 if stride < SHORTEST:

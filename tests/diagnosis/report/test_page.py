@@ -32,7 +32,12 @@ def write(diagnosis: Diagnosis, folder: Path) -> str:
     spec, flight = read_demo()
     origin = trace_origin(["diagnose", str(flight.path), "--twin", spec.name], spec.name, [flight.path])
     collect_result(spec, [flight], diagnosis, origin, []).draw().write(folder, Path("x y"))
-    return (folder / "report.html").read_text(encoding="utf-8")
+    return read_page(folder / "report.html")
+
+
+def read_page(report: Path) -> str:
+    """Its text, with the spaces that don't break as plain ones, words of commands without their tags."""
+    return re.sub("<span>([^<]*)</span>", r"\1", report.read_text(encoding="utf-8")).replace("\N{NO-BREAK SPACE}", " ")
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +51,8 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def page(report: Path) -> str:
-    """Its text, with the spaces that don't break as plain ones."""
-    return report.read_text(encoding="utf-8").replace("\N{NO-BREAK SPACE}", " ")
+    """Its text."""
+    return read_page(report)
 
 
 class Checker(HTMLParser):
