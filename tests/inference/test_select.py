@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -180,3 +181,23 @@ def test_what_modifies_is_never_fitted_alone() -> None:
     assert comparison.best.effects == frozenset("ae")
     alone = [sorted(effects) for effects in {*told, *comparison.fits} if "e" in effects and not effects & {"a", "b"}]
     assert alone == []
+
+
+def test_log_odds_are_those_of_the_inclusion_probability() -> None:
+    """Of one effect and of either of two; where no set, or every set, has one they are infinite."""
+    comparison = search(draw_alike(1, TRUTH), temper=2.0)
+    for effects in ("c", "cd"):
+        inclusion = sum(p for found, p in comparison.probabilities.items() if found & frozenset(effects))
+        assert comparison.log_odds(frozenset(effects)) == pytest.approx(np.log(inclusion / (1.0 - inclusion)), rel=1e-6)
+    assert comparison.log_odds(frozenset()) == -np.inf
+
+
+def test_a_first_guess_never_outlasts_a_fit_with_its_own_responses() -> None:
+    """Whatever evidence borrowed responses give it, and whichever comes first."""
+    fit = Fitter(draw_alike(1, TRUTH), [name_unknown(name) for name in EIGHT]).fit(frozenset("a"), {})
+    guess = replace(fit, lent=True, posterior=replace(fit.posterior, deviance=fit.posterior.deviance - 1e3))
+    for order in ((fit, guess), (guess, fit)):
+        comparison = Comparison(1.0, ODDS)
+        for each in order:
+            comparison.add(each)
+        assert comparison.best is fit

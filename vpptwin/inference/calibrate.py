@@ -13,6 +13,11 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit, log_expit
 
+SPREAD = 3.0
+"""Standard deviation of the normal priors of intercept and slope: few claims must not make a step of the map."""
+SURE = 0.95
+"""Probability by the regression from which claims are among the surest."""
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -44,8 +49,9 @@ def fit_calibration(log_odds: Sequence[float], right: Sequence[bool], most: floa
 
     def cost(parameters: np.ndarray) -> float:
         value = parameters[0] + parameters[1] * x
-        return float(-(log_expit(value[y]).sum() + log_expit(-value[~y]).sum()) + 0.5 * (parameters**2).sum() / 9.0)
+        prior = 0.5 * float(((parameters / SPREAD) ** 2).sum())
+        return prior - float(log_expit(value[y]).sum() + log_expit(-value[~y]).sum())
 
     found = minimize(cost, [0.0, 1.0], bounds=[(None, None), (0.0, None)])
-    sure = int((found.x[0] + found.x[1] * x > np.log(19.0)).sum())
+    sure = int((expit(found.x[0] + found.x[1] * x) > SURE).sum())
     return Calibration(float(found.x[0]), float(found.x[1]), (sure + 1.0) / (sure + 2.0))

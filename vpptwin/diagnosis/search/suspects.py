@@ -60,8 +60,10 @@ class Unknown:
     def width(self) -> float:
         """Range within which the parameter is looked for once its effect is under suspicion."""
         prior, parameter = self.parameter.prior, self.parameter
-        spread = prior.b if self.is_limit else prior.b - prior.a if prior.kind == "uniform" else 3.0 * prior.b
-        return spread if self.is_limit else min(max(spread, 3.0 * parameter.size), parameter.high - parameter.low)
+        if self.is_limit:
+            return prior.b
+        spread = prior.b - prior.a if prior.kind == "uniform" else 3.0 * prior.b
+        return min(max(spread, 3.0 * parameter.size), parameter.high - parameter.low)
 
     def step_from(self, value: float) -> float:
         """Secant step from a value: a physically typical size, turned or shortened where the bounds leave no room."""
